@@ -1,0 +1,244 @@
+"""The message bus. The only file that imports zenoh.
+
+Every session opens explicit endpoints, with discovery off: the supervisor's session is a router that listens on
+TCP loopback (for users) and on a Unix socket; our nodes are peers that also link to each other directly over Unix
+sockets, so that a tick never passes through the router.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Generic, Literal, Protocol, TypeVar
+
+from msgspec import Struct
+
+from schemas.codec import Fault, decode, encode
+from schemas.messages import Message
+from schemas.topics import Topic
+
+M = TypeVar("M", bound=Message)
+T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
+
+
+class BusConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How a session reaches the others. Endpoints as zenoh writes them: `tcp/127.0.0.1:7447`, `unixsock-stream/PATH`."""
+
+    mode: Literal["peer", "client", "router"] = "peer"
+    listen: tuple[str, ...] = ()
+    connect: tuple[str, ...] = ()
+
+
+class BusError(RuntimeError):
+    """The session could not be opened; `str()` is zenoh's reason in one line."""
+
+
+class Subscription(Protocol[T_co]):
+    """A reader's end of a topic: a ring of the topic's depth in which the newest win."""
+
+    def wait(self) -> T_co:
+        """The next message, blocking until there is one. Signal handlers run meanwhile, and may raise."""
+        ...
+
+    def take(self) -> list[T_co]:
+        """All messages that have arrived since the last call, oldest first. Never waits."""
+        ...
+
+    def peek(self) -> T_co | None:
+        """The newest message so far, again and again until a newer one arrives; None before the first. Never waits."""
+        ...
+
+
+class Bus(Protocol):
+    """What a node needs of a message bus."""
+
+    faults: dict[str, int]
+    """Refused payloads so far, by topic name."""
+
+    last_fault: str
+
+    def publish(self, topic: Topic[M], message: M) -> None: ...
+
+    def subscribe(self, topic: Topic[M]) -> Subscription[M]: ...
+
+    def subscribe_bytes(self, topic: Topic[Any]) -> Subscription[bytes]:
+        """The payloads as they came, for a topic whose payloads need not be our structs (commands)."""
+        ...
+
+
+class _Decoding(Generic[M]):
+    """Decodes what another subscription of bytes yields; counts and drops what cannot be used."""
+
+    def __init__(self, bus: Bus, topic: Topic[M], raw: Subscription[bytes]) -> None:
+        self._bus, self._topic, self._raw = bus, topic, raw
+        self._newest: M | None = None
+
+    def _decoded(self, payload: bytes) -> M | None:
+        try:
+            self._newest = decode(self._topic, payload)
+        except Fault as fault:
+            self._bus.faults[self._topic.name] = self._bus.faults.get(self._topic.name, 0) + 1
+            self._bus.last_fault = f"{self._topic.name}: {fault}"
+            return None
+        return self._newest
+
+    def wait(self) -> M:
+        while True:
+            message = self._decoded(self._raw.wait())
+            if message is not None:
+                return message
+
+    def take(self) -> list[M]:
+        return [m for m in map(self._decoded, self._raw.take()) if m is not None]
+
+    def peek(self) -> M | None:
+        for payload in self._raw.take():
+            self._decoded(payload)
+        return self._newest
+
+
+class _ZenohBytes:
+    """A zenoh ring of payloads."""
+
+    def __init__(self, subscriber: Any) -> None:
+        self._handler = subscriber.handler
+        self._newest: bytes | None = None
+
+    def wait(self) -> bytes:
+        payload: bytes = self._handler.recv().payload.to_bytes()
+        return payload
+
+    def take(self) -> list[bytes]:
+        payloads: list[bytes] = []
+        while (sample := self._handler.try_recv()) is not None:
+            payloads.append(sample.payload.to_bytes())
+        return payloads
+
+    def peek(self) -> bytes | None:
+        for payload in self.take():
+            self._newest = payload
+        return self._newest
+
+
+class ZenohBus:
+    """A zenoh session with our topics on it. Open it with `open_bus`."""
+
+    def __init__(self, session: Any, ring: Any, drop: Any) -> None:
+        self._session, self._ring, self._drop = session, ring, drop
+        self._publishers: dict[str, Any] = {}
+        self._subscribers: list[Any] = []
+        self.faults: dict[str, int] = {}
+        self.last_fault = ""
+
+    def publish(self, topic: Topic[M], message: M) -> None:
+        """Hand a message to zenoh; returns at once, whoever is or is not listening."""
+        publisher = self._publishers.get(topic.key)
+        if publisher is None:
+            publisher = self.announce(topic)
+        publisher.put(encode(message))
+
+    def announce(self, topic: Topic[Any]) -> Any:
+        """Declare a publisher ahead of its first message, which would otherwise pay for it."""
+        publisher = self._publishers[topic.key] = self._session.declare_publisher(
+            topic.key, congestion_control=self._drop
+        )
+        return publisher
+
+    def subscribe(self, topic: Topic[M]) -> Subscription[M]:
+        return _Decoding(self, topic, self.subscribe_bytes(topic))
+
+    def subscribe_bytes(self, topic: Topic[Any]) -> Subscription[bytes]:
+        subscriber = self._session.declare_subscriber(topic.key, self._ring(topic.depth))
+        self._subscribers.append(subscriber)
+        return _ZenohBytes(subscriber)
+
+
+def zenoh_settings(config: BusConfig) -> dict[str, object]:
+    """Every zenoh setting we make, by its configuration path; measured in the message bus notes of ARCHITECTURE.md."""
+    settings: dict[str, object] = {
+        "mode": config.mode,
+        "listen/endpoints": list(config.listen),
+        "connect/endpoints": list(config.connect),
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": False,
+        "transport/link/tx/lease": 2000,
+        "open/return_conditions/connect_scouted": False,
+        "open/return_conditions/declares": True,
+    }
+    if config.mode != "client":
+        settings["connect/timeout_ms"] = 0
+        settings["connect/exit_on_failure"] = False
+        settings["connect/retry"] = {"period_init_ms": 20, "period_max_ms": 200, "period_increase_factor": 2}
+    return settings
+
+
+@contextmanager
+def open_bus(config: BusConfig) -> Iterator[ZenohBus]:
+    """A zenoh session for the time of the block, closed at its end.
+
+    Raises `BusError` when an endpoint cannot be listened on, or when a client reaches nobody.
+    """
+    import zenoh  # here, so that `--help` and lock-step runs never pay for it
+
+    zenoh.init_log_from_env_or("off")
+    settings = zenoh.Config()
+    for path, value in zenoh_settings(config).items():
+        settings.insert_json5(path, json.dumps(value))
+    try:
+        session = zenoh.open(settings)
+    except zenoh.ZError as error:
+        raise BusError(str(error).splitlines()[0]) from None
+    try:
+        yield ZenohBus(session, zenoh.handlers.RingChannel, zenoh.CongestionControl.DROP)
+    finally:
+        session.close()
+
+
+class _LocalRing:
+    def __init__(self, depth: int) -> None:
+        self.ring: deque[bytes] = deque(maxlen=depth)
+        self._newest: bytes | None = None
+
+    def wait(self) -> bytes:
+        if not self.ring:
+            raise BusError("nothing was published: an in-process bus cannot wait")
+        return self.ring.popleft()
+
+    def take(self) -> list[bytes]:
+        taken = list(self.ring)
+        self.ring.clear()
+        return taken
+
+    def peek(self) -> bytes | None:
+        for payload in self.take():
+            self._newest = payload
+        return self._newest
+
+
+class LocalBus:
+    """The same bus inside one process, delivering at once: for lock-step runs and tests. Messages are really encoded."""
+
+    def __init__(self) -> None:
+        self._rings: dict[str, list[_LocalRing]] = {}
+        self.faults: dict[str, int] = {}
+        self.last_fault = ""
+
+    def publish(self, topic: Topic[M], message: M) -> None:
+        self.publish_bytes(topic, encode(message))
+
+    def publish_bytes(self, topic: Topic[Any], payload: bytes) -> None:
+        """Put a payload as it is, as any zenoh publisher could."""
+        for ring in self._rings.get(topic.key, ()):
+            ring.ring.append(payload)
+
+    def subscribe(self, topic: Topic[M]) -> Subscription[M]:
+        return _Decoding(self, topic, self.subscribe_bytes(topic))
+
+    def subscribe_bytes(self, topic: Topic[Any]) -> Subscription[bytes]:
+        ring = _LocalRing(topic.depth)
+        self._rings.setdefault(topic.key, []).append(ring)
+        return ring
