@@ -1,1 +1,1 @@
-
+"""Composes the nodes: the process table, the supervisor, the command line."""

@@ -21,11 +21,10 @@ from schemas.topics import Topic
 
 M = TypeVar("M", bound=Message)
 T = TypeVar("T")
-T_co = TypeVar("T_co", covariant=True)
 
 
 class BusConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How a session reaches the others. Endpoints as zenoh writes them: `tcp/127.0.0.1:7447`, `unixsock-stream/PATH`."""
+    """How a session reaches the others. Endpoints as zenoh has them: `tcp/127.0.0.1:7447`, `unixsock-stream/PATH`."""
 
     mode: Literal["peer", "client", "router"] = "peer"
     listen: tuple[str, ...] = ()
@@ -36,18 +35,18 @@ class BusError(RuntimeError):
     """The session could not be opened; `str()` is zenoh's reason in one line."""
 
 
-class Subscription(Protocol[T_co]):
+class Subscription(Protocol[T]):
     """A reader's end of a topic: a ring of the topic's depth in which the newest win."""
 
-    def wait(self) -> T_co:
+    def wait(self) -> T:
         """The next message, blocking until there is one. Signal handlers run meanwhile, and may raise."""
         ...
 
-    def take(self) -> list[T_co]:
+    def take(self) -> list[T]:
         """All messages that have arrived since the last call, oldest first. Never waits."""
         ...
 
-    def peek(self) -> T_co | None:
+    def peek(self) -> T | None:
         """The newest message so far, again and again until a newer one arrives; None before the first. Never waits."""
         ...
 
@@ -170,7 +169,7 @@ def zenoh_settings(config: BusConfig) -> dict[str, object]:
         "open/return_conditions/declares": True,
     }
     if config.mode != "client":
-        settings["connect/timeout_ms"] = 0
+        settings["connect/timeout_ms"] = -1  # keep trying, in the background
         settings["connect/exit_on_failure"] = False
         settings["connect/retry"] = {"period_init_ms": 20, "period_max_ms": 200, "period_increase_factor": 2}
     return settings
@@ -195,7 +194,7 @@ def open_bus(config: BusConfig) -> Iterator[ZenohBus]:
     try:
         yield ZenohBus(session, zenoh.handlers.RingChannel, zenoh.CongestionControl.DROP)
     finally:
-        session.close()
+        session.close()  # type: ignore[no-untyped-call]
 
 
 class _LocalRing:
@@ -220,7 +219,7 @@ class _LocalRing:
 
 
 class LocalBus:
-    """The same bus inside one process, delivering at once: for lock-step runs and tests. Messages are really encoded."""
+    """The same bus inside one process, delivering at once: for lock-step runs and tests. It really encodes messages."""
 
     def __init__(self) -> None:
         self._rings: dict[str, list[_LocalRing]] = {}

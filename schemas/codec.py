@@ -18,7 +18,7 @@ _encoder = msgspec.msgpack.Encoder()
 _decoders: dict[type[Message], msgspec.msgpack.Decoder[Any]] = {}
 
 
-class Fault(ValueError):
+class Fault(ValueError):  # noqa: N818 - a word of the contract, not a mistake of ours
     """A payload that cannot be used; `str()` says why in one line."""
 
 

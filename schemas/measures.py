@@ -18,7 +18,7 @@ def gap_m(rear_x: float, front_x: float, rear_length: float, front_length: float
 
 
 def ttc_s(gap: float, closing_mps: float) -> float:
-    """Time to collision: gap / closing speed; inf when the gap opens (closing below 0.1 m/s), 0 when already touching."""
+    """Time to collision: gap / closing speed; inf when the gap opens (closing below 0.1 m/s), 0 when touching."""
     if gap <= 0.0:
         return 0.0
     if closing_mps <= 0.1:

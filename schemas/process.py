@@ -38,7 +38,7 @@ class ConfigError(Exception):
 
 
 def load_config(kind: type[C], argv: list[str]) -> C:
-    """A node's configuration from its single argument, a JSON object. Unknown keys and bad values are `ConfigError`s."""
+    """A node's configuration from its one argument, a JSON object. Unknown keys and bad values are `ConfigError`s."""
     if len(argv) != 1 or argv[0] in ("-h", "--help"):
         fields = ", ".join(f.name for f in msgspec.structs.fields(kind))
         raise ConfigError(f"give one JSON object with any of: {fields}")
@@ -71,7 +71,7 @@ def stop_on_signals() -> Iterator[None]:
 
 
 def run_node(name: str, main: Callable[[], None]) -> int:
-    """Run a node's main function to its end and return the exit code; a user's mistake is one line, never a traceback."""
+    """Run a node's main function to its end and return the exit code; a user's mistake is one line, not a traceback."""
     die_with_parent()
     try:
         with stop_on_signals():
@@ -86,7 +86,8 @@ def run_node(name: str, main: Callable[[], None]) -> int:
 
 def log(node: str, event: str, detail: str = "", **fields: object) -> None:
     """One JSON line on stderr, which the supervisor keeps in the run folder."""
-    line = {"t_ns": time.monotonic_ns(), "node": node, "event": event, **({"detail": detail} if detail else {}), **fields}
+    said = {"detail": detail} if detail else {}
+    line = {"t_ns": time.monotonic_ns(), "node": node, "event": event, **said, **fields}
     print(json.dumps(line), file=sys.stderr, flush=True)
 
 

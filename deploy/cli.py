@@ -1,0 +1,123 @@
+"""The command line, `fastslow`. Everything heavy is imported inside the commands: `--help` must be quick."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+_PORT = 7447
+_EXITS = ("Exit codes: 0 ok, 1 failed, 2 usage, 69 nobody there, 75 try again (port taken), "
+          "78 bad configuration or model, 130/143 signals.")
+
+app = typer.Typer(
+    name="fastslow",
+    help="A car that drives fast, thinks slowly and listens to its passenger.",
+    epilog="Examples:\n\n  fastslow run\n\n"
+           "  fastslow say \"I'm in a hurry to get to work, I want to drive faster\"\n\n" + _EXITS,
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Port = Annotated[int, typer.Option(min=1, max=65535, help="TCP port on 127.0.0.1 where the system listens.")]
+Json = Annotated[bool, typer.Option("--json", help="Data as JSON on stdout; everything else on stderr.")]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            print(f"fastslow {version('fastslow')}")
+        except PackageNotFoundError:
+            print("fastslow (not installed: run from its source folder)")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+) -> None:
+    pass
+
+
+@app.command(epilog="Examples:\n\n  fastslow run\n\n"
+                    "  fastslow run --duration 40 --say \"I'm in a hurry\" --say-at 3 --json\n\n"
+                    "  fastslow run --without fast        (to bring your own)\n\n"
+                    "With OPENAI_API_KEY (and OPENAI_BASE_URL, OPENAI_MODEL) set, that model is asked instead of "
+                    "the embedded one.\n\n" + _EXITS)
+def run(
+    scenario: Annotated[str, typer.Option(help="What road to drive on.")] = "two-way",
+    seed: Annotated[int, typer.Option(min=0, help="Which traffic there is on it.")] = 0,
+    duration: Annotated[
+        float | None, typer.Option(min=1.0, help="End after this many seconds.", show_default="until Ctrl-C")
+    ] = None,
+    say: Annotated[str | None, typer.Option(metavar="TEXT", help="Say this to the car.")] = None,
+    say_at: Annotated[float, typer.Option(min=0.0, help="When to say it, in seconds.")] = 3.0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port on 127.0.0.1 to listen on; 0: any.")] = _PORT,
+    as_json: Json = False,
+    without: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Leave out sim, fast, slow or llm; may be repeated.")
+    ] = None,
+) -> None:
+    """Start the simulator, the fast and the slow node and the language model, and watch over them."""
+    from deploy.processes import NAMES, RunOptions
+
+    unknown = sorted(set(without or ()) - set(NAMES))
+    if unknown:
+        raise typer.BadParameter(f"{', '.join(unknown)}: choose from {', '.join(NAMES)}", param_hint="'--without'")
+    from deploy.run import run_system
+
+    raise typer.Exit(run_system(RunOptions(
+        scenario=scenario, seed=seed, duration_s=duration, port=port, say=say, say_at_s=say_at, as_json=as_json,
+        without=tuple(without or ()))))
+
+
+@app.command(epilog="Examples:\n\n  fastslow say \"I'm in a hurry\"\n\n"
+                    "  fastslow say --wait --json \"please slow down a little\"\n\n" + _EXITS)
+def say(
+    text: Annotated[str, typer.Argument(help="What the passenger says.")],
+    wait: Annotated[bool, typer.Option("--wait", help="Wait until it is fulfilled, expired or failed.")] = False,
+    timeout: Annotated[
+        float | None, typer.Option(min=0.1, help="Seconds to wait.", show_default="15; with --wait 90")
+    ] = None,
+    port: Port = _PORT,
+    as_json: Json = False,
+) -> None:
+    """Say something to the car that is running, and hear its answer."""
+    from deploy import talk
+
+    timeout_s = timeout if timeout is not None else 90.0 if wait else 15.0
+    raise typer.Exit(talk.say(text, port=port, wait=wait, timeout_s=timeout_s, as_json=as_json))
+
+
+@app.command(epilog="Examples:\n\n  fastslow status\n\n  fastslow status --json\n\n" + _EXITS)
+def status(port: Port = _PORT, as_json: Json = False) -> None:
+    """Show the nodes of the running system and their figures."""
+    from deploy import talk
+
+    raise typer.Exit(talk.status(port=port, as_json=as_json))
+
+
+@app.command(epilog="Examples:\n\n  fastslow doctor\n\n  fastslow doctor --json\n\n" + _EXITS)
+def doctor(port: Port = _PORT, as_json: Json = False) -> None:
+    """Check that everything a run needs is here, and say how to mend what is not."""
+    from deploy.doctor import doctor as examine
+
+    raise typer.Exit(examine(port=port, as_json=as_json))
+
+
+def main() -> None:
+    """The entry point. Ctrl-C in a short command is an exit code, not a traceback."""
+    try:
+        app()
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

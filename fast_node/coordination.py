@@ -1,0 +1,167 @@
+"""From directive to wish, and what becomes of it: delayed, overridden, fulfilled, expired (the paper's contribution 2).
+
+The wish is what the policy is conditioned on (lane, speed, headway). It never reaches the mask.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from fast_node.mask import BEHIND_M, RULES
+from schemas.clock import NS
+from schemas.messages import Closure, Directive, Event, MetaAction, Observation
+
+PASS_SIGHT_M = 60.0
+"""A lead farther ahead than this is not overtaken yet."""
+OVERTAKING_MPS = 8.0
+SPEED_TOLERANCE_MPS = 0.5
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What the policy is asked for: lane index, speed [m/s], headway [s]."""
+
+    lane: int
+    speed_mps: float
+    headway_s: float
+
+
+def wished_lane(rows: Any, home: int, pass_id: int) -> int:
+    """The lane to be in while overtaking the car `pass_id` from lane `home`: beside it until it is passed, then home.
+
+    rows: (V, 9) sequence as `ROW_COLUMNS`. Compiles with numba unchanged.
+    """
+    if pass_id < 0:
+        return home
+    for i in range(1, len(rows)):
+        row = rows[i]
+        if int(row[0]) == pass_id:
+            ahead = row[1] + 0.5 * (row[6] + rows[0][6]) + BEHIND_M - rows[0][1]
+            if 0.0 < ahead < PASS_SIGHT_M:
+                return home - 1
+    return home
+
+
+class Coordination:
+    """Follows one directive at a time through an epoch. Pure: time comes with each call."""
+
+    def __init__(self, default_headway_s: float) -> None:
+        self._headway_s = default_headway_s
+        self._epoch = -1
+        self._cruise_mps = 0.0
+        self._directive: Directive | None = None
+        self._done = True
+        self._pass_id = -1
+        self._waiting_since = -1
+        self._waiting: Closure | None = None
+
+    def wish(
+        self, observation: Observation, rows: list[list[float]], directive: Directive | None, now_ns: int
+    ) -> tuple[Wish, list[Event]]:
+        """The wish for this tick, and events about the directive that it follows."""
+        events: list[Event] = []
+        tick = observation.tick
+        if observation.epoch != self._epoch:
+            self._epoch = observation.epoch
+            self._cruise_mps = round(observation.target_speed_mps or rows[0][3])
+            self._directive, self._done = None, True
+        if directive is not None and directive.epoch == self._epoch and (
+                self._directive is None or directive.id > self._directive.id):
+            self._adopt(directive, observation, rows)
+        current = self._directive
+        home = self._home(observation)
+        if current is not None and not self._done and now_ns - current.stamp_ns > current.ttl_s * NS:
+            self._done = True
+            events.append(self._event("expired", current, observation))
+        if current is None or (self._done and current.manoeuvre != "cruise") or (
+                now_ns - current.stamp_ns > current.ttl_s * NS):
+            speed = self._cruise_mps if current is None or current.manoeuvre == "cruise" else self._cruise_mps
+            return Wish(home, speed, self._headway_s), events
+        limit = observation.lanes[home].speed_limit_mps
+        speed = self._cruise_mps if current.target_speed_mps is None else current.target_speed_mps
+        lane = home
+        if current.manoeuvre == "stop":
+            speed = 0.0
+        elif current.manoeuvre == "overtake" and observation.lanes[max(home - 1, 0)].direction < 0:
+            asked = home - 1 if current.target_lane is None else current.target_lane
+            lane = wished_lane(rows, home, self._pass_id) if asked != home else home
+            speed = OVERTAKING_MPS if current.target_speed_mps is None else current.target_speed_mps
+        elif current.target_lane is not None and 0 <= current.target_lane < len(observation.lanes) and (
+                observation.lanes[current.target_lane].direction > 0):
+            lane = current.target_lane
+        speed = min(max(speed, 0.0), limit)
+        wish = Wish(lane, speed, current.headway_s or self._headway_s)
+        if not self._done and self._fulfilled(current, observation, rows, wish, home):
+            self._done = True
+            self._cruise_mps = speed if current.manoeuvre != "stop" else 0.0
+            events.append(self._event("fulfilled", current, observation, since=current.scene_tick))
+        del tick
+        return wish, events
+
+    def verdict(
+        self, observation: Observation, wish: Wish, closed: tuple[Closure, ...], meta: int
+    ) -> list[Event]:
+        """Events for a wished lane change that the mask holds back, starts to hold back, or lets go."""
+        current = self._directive
+        if current is None or self._done:
+            self._waiting_since = -1
+            return []
+        side = MetaAction.LEFT if wish.lane < observation.target_lane else MetaAction.RIGHT
+        held = next((c for c in closed if c.action == side), None) if wish.lane != observation.target_lane else None
+        if held is not None and self._waiting_since < 0:
+            self._waiting_since, self._waiting = observation.tick, held
+            return [self._event("delayed", current, observation, held)]
+        if held is None and self._waiting_since >= 0:
+            since, why = self._waiting_since, self._waiting
+            self._waiting_since = -1
+            if meta == side or wish.lane == observation.target_lane:
+                return [self._event("overridden", current, observation, why, since=since, detail="and now carried out")]
+        return []
+
+    def _adopt(self, directive: Directive, observation: Observation, rows: list[list[float]]) -> None:
+        previous = self._directive
+        renewal = previous is not None and not self._done and previous.command_id == directive.command_id
+        self._directive = directive
+        self._done = False
+        if renewal and directive.manoeuvre == "overtake":
+            return
+        self._pass_id, self._waiting_since = -1, -1
+        if directive.manoeuvre == "overtake":
+            home = self._home(observation)
+            ahead = [r for r in rows[1:] if int(r[8]) == home and r[3] > -0.1 and r[1] > rows[0][1]]
+            if ahead:
+                self._pass_id = int(min(ahead, key=lambda r: r[1])[0])
+
+    @staticmethod
+    def _home(observation: Observation) -> int:
+        """The lane to go on in: the one aimed for, or beside a borrowed oncoming lane the first of our direction."""
+        lane = observation.target_lane
+        while observation.lanes[lane].direction < 0 and lane + 1 < len(observation.lanes):
+            lane += 1
+        return lane
+
+    def _fulfilled(
+        self, directive: Directive, observation: Observation, rows: list[list[float]], wish: Wish, home: int
+    ) -> bool:
+        settled = observation.previous_lane < 0
+        if directive.manoeuvre == "overtake":
+            passed = wished_lane(rows, home, self._pass_id) == home and not any(
+                int(r[0]) == self._pass_id and r[1] > rows[0][1] for r in rows[1:])
+            return self._pass_id >= 0 and passed and settled and observation.target_lane == home
+        slow_enough = math.isclose(rows[0][3], wish.speed_mps, abs_tol=SPEED_TOLERANCE_MPS)
+        return settled and observation.target_lane == wish.lane and slow_enough
+
+    def _event(
+        self, kind: Any, directive: Directive, observation: Observation, closure: Closure | None = None,
+        since: int = -1, detail: str = "",
+    ) -> Event:
+        return Event(
+            epoch=observation.epoch, stamp_ns=observation.stamp_ns, kind=kind, node="fast", tick=observation.tick,
+            rule=closure.rule if closure else "", vehicle=closure.vehicle if closure else -1, since_tick=since,
+            duration_s=(observation.tick - since) / observation.hz if since >= 0 else 0.0,
+            directive_id=directive.id, command_id=directive.command_id, detail=detail)
+
+
+__all__ = ["RULES", "Coordination", "Wish", "wished_lane"]

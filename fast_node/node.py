@@ -1,0 +1,100 @@
+"""The fast node: one action for every observation, whatever fails. Pure: no sockets, sleeps or clocks in here."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fast_node.config import FastConfig
+from fast_node.coordination import Coordination, Wish
+from fast_node.features import Array, policy_input
+from fast_node.mask import OPEN, RULES, close_actions
+from fast_node.policy import Policy
+from schemas.codec import rows_of
+from schemas.messages import POLICY_ACTIONS, Action, Closure, Directive, Event, Lane, MetaAction, Observation
+
+_NEVER = np.float32(-1e9)
+
+
+def lane_table(lanes: tuple[Lane, ...]) -> list[tuple[float, ...]]:
+    """(L, 6): y, start, end, direction, width, limit, as the mask reads them."""
+    return [(b.y_m, b.start_m, b.end_m, float(b.direction), b.width_m, b.speed_limit_mps) for b in lanes]
+
+
+class FastNode:
+    """`step` turns an observation and the newest directive into an action and events."""
+
+    def __init__(self, config: FastConfig, policy: Policy) -> None:
+        self._config, self._policy = config, policy
+        self._coordination = Coordination(config.default_headway_s)
+        self._wish: Wish | None = None
+        self._decided_tick = -(10**9)
+        self._epoch = -1
+        self.counts = {"ticks": 0, "masked": 0, "fallback": 0, "braked": 0}
+
+    def step(self, observation: Observation, directive: Directive | None, now_ns: int) -> tuple[Action, list[Event]]:
+        """The action that answers `observation` (compute_ns is left to the shell), and what became of the directive.
+
+        The policy decides once per `decision_ticks`, and at once when the wish changes; in between the set-points hold
+        unless the mask closes that.
+        """
+        self.counts["ticks"] += 1
+        rows = rows_of(observation)
+        table = rows.tolist()
+        rule, vehicle = [0] * 6, [-1] * 6
+        close_actions(table, lane_table(observation.lanes), observation.target_speed_mps, observation.target_lane,
+                      observation.previous_lane, rule, vehicle)
+        closed = tuple(Closure(action=a, rule=RULES[rule[a]], vehicle=vehicle[a])
+                       for a in range(POLICY_ACTIONS) if rule[a] != OPEN)
+        wish, events = self._coordination.wish(observation, table, directive, now_ns)
+        if observation.epoch != self._epoch or wish != self._wish:
+            self._decided_tick = -(10**9)
+        self._epoch, self._wish = observation.epoch, wish
+        source: str
+        try:
+            logits = self._logits(observation, rows, wish)
+            if not np.isfinite(logits).all():
+                raise FloatingPointError("non-finite logits")
+            meta, source = self._choose(logits, rule, observation.tick)
+            why = ""
+        except Exception as error:  # whatever the policy does, the car gets an answer
+            meta, source, why = fallback(rule, observation), "fallback", f"{type(error).__name__}: {error}"[:120]
+            self.counts["fallback"] += 1
+        self.counts["masked"] += source == "masked"
+        self.counts["braked"] += meta == MetaAction.EMERGENCY_BRAKE
+        if not why and meta == MetaAction.EMERGENCY_BRAKE:
+            why = "; ".join(sorted({c.rule for c in closed}))
+        events += self._coordination.verdict(observation, wish, closed, meta)
+        return Action(
+            epoch=observation.epoch, stamp_ns=now_ns, answers_tick=observation.tick, meta_action=int(meta),
+            source=source,  # type: ignore[arg-type]
+            speed_goal_mps=wish.speed_mps, directive_id=directive.id if directive else None,
+            budget_ns=round(self._config.budget_ms * 1e6), closed=closed, why=why), events
+
+    def _logits(self, observation: Observation, rows: Array, wish: Wish) -> Array:
+        one = np.float64
+        return self._policy.logits(policy_input(
+            rows, one(observation.lanes[wish.lane].y_m), one(wish.speed_mps), one(wish.headway_s),  # type: ignore[arg-type]
+            one(observation.target_speed_mps), one(observation.previous_lane >= 0)))  # type: ignore[arg-type]
+
+    def _choose(self, logits: Array, rule: list[int], tick: int) -> tuple[int, str]:
+        is_open = np.array([r == OPEN for r in rule[:POLICY_ACTIONS]])
+        wanted = int(logits.argmax())
+        if tick - self._decided_tick < self._config.decision_ticks:
+            # Between decisions hold, but take a lane change that has just become possible.
+            if is_open[MetaAction.CRUISE] and not (wanted >= MetaAction.LEFT and is_open[wanted]):
+                return MetaAction.CRUISE, "policy"
+        if not is_open.any():
+            return MetaAction.EMERGENCY_BRAKE, "masked"
+        self._decided_tick = tick
+        chosen = int(np.where(is_open, logits, _NEVER).argmax())
+        return chosen, "policy" if chosen == wanted else "masked"
+
+
+def fallback(rule: list[int], observation: Observation) -> int:
+    """The rule that drives when the policy cannot: home from a borrowed lane, slower if need be, else hold."""
+    if observation.lanes[observation.target_lane].direction < 0 and rule[MetaAction.RIGHT] == OPEN:
+        return MetaAction.RIGHT
+    for action in (MetaAction.CRUISE, MetaAction.SLOW_DOWN, MetaAction.SPEED_UP, MetaAction.RIGHT, MetaAction.LEFT):
+        if rule[action] == OPEN:
+            return action
+    return MetaAction.EMERGENCY_BRAKE

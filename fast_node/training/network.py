@@ -1,0 +1,49 @@
+"""The paper's attention network (Eq. 10-12) with a value head. Axes: B batch, N rows, F features, D width."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from fast_node.features import FEATURES
+from schemas.messages import POLICY_ACTIONS
+
+
+class Encoder(nn.Module):
+    """z <- z + MHSA(norm z) + FFN(norm z): Eq. 11 with a pre-norm and a residual term, our departure, for stability."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.norm = nn.LayerNorm(width)
+        self.qkv = nn.Linear(width, 3 * width)
+        self.out = nn.Linear(width, width)
+        self.up = nn.Linear(width, 2 * width)
+        self.down = nn.Linear(2 * width, width)
+
+    def forward(self, z: Tensor, present: Tensor) -> Tensor:
+        b, n, d = z.shape
+        u = self.norm(z)
+        q, k, v = (a.view(b, n, self.heads, d // self.heads).transpose(1, 2) for a in self.qkv(u).chunk(3, -1))
+        attended = nn.functional.scaled_dot_product_attention(q, k, v, attn_mask=present[:, None, None, :])
+        return torch.as_tensor(
+            z + self.out(attended.transpose(1, 2).reshape(b, n, d)) + self.down(torch.relu(self.up(u))))
+
+
+class ActorCritic(nn.Module):
+    """(B, N, F) -> logits (B, 5), value (B,). Only `policy`, `embed` and `layers` are exported."""
+
+    def __init__(self, width: int = 128, heads: int = 2, layers: int = 1) -> None:
+        super().__init__()
+        self.embed = nn.Linear(len(FEATURES), width)
+        self.layers = nn.ModuleList(Encoder(width, heads) for _ in range(layers))
+        self.policy = nn.Linear(width, POLICY_ACTIONS)
+        self.value = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 1))
+        nn.init.orthogonal_(self.policy.weight, 0.01)
+        nn.init.zeros_(self.policy.bias)
+
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        z, present = self.embed(x), x[..., 0] > 0
+        for layer in self.layers:
+            z = layer(z, present)
+        return self.policy(z[:, 0]), self.value(z[:, 0]).squeeze(-1)

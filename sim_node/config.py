@@ -1,0 +1,30 @@
+"""The simulator's configuration."""
+
+from __future__ import annotations
+
+import math
+
+from schemas.process import NodeConfig
+from sim_node.scenarios import SCENARIOS
+
+
+class SimConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What `python -m sim_node` takes."""
+
+    scenario: str = "two-way"
+    seed: int = 0
+    """Of the first episode; each further episode takes the next one."""
+    duration_s: float | None = None
+    """Stop by itself after this long; None: run until told to stop."""
+    hz: int = 15
+    """Ticks per second; the contract's deadlines and the trained weights are for 15."""
+
+    def __post_init__(self) -> None:
+        if self.scenario not in SCENARIOS:
+            raise ValueError(f"scenario {self.scenario!r} is not one of: {', '.join(SCENARIOS)}")
+        if self.seed < 0:
+            raise ValueError(f"seed {self.seed} is negative")
+        if self.duration_s is not None and not (self.duration_s > 0 and math.isfinite(self.duration_s)):
+            raise ValueError(f"duration_s {self.duration_s} is not a positive number")
+        if not 1 <= self.hz <= 100:
+            raise ValueError(f"hz {self.hz} is not within 1..100")

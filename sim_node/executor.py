@@ -1,0 +1,119 @@
+"""The ego's executor: from a meta-action to set-points, and from set-points to acceleration and steering.
+
+Plain arithmetic on floats and ints: the functions run as they are in the real-time node, and compile unchanged with
+numba for training. SI units; the y axis grows to the right, so a positive steering angle turns towards growing lanes.
+"""
+
+from __future__ import annotations
+
+import math
+
+from schemas.measures import EGO_ACCEL_MAX_MPS2, EGO_BRAKE_MAX_MPS2, LANE_CHANGE_DONE_M, SPEED_STEP_MPS
+from schemas.messages import MetaAction
+
+# numba freezes global ints, but does not know IntEnum members in arithmetic comparisons with plain ints.
+SLOW_DOWN = int(MetaAction.SLOW_DOWN)
+SPEED_UP = int(MetaAction.SPEED_UP)
+LEFT = int(MetaAction.LEFT)
+RIGHT = int(MetaAction.RIGHT)
+EMERGENCY_BRAKE = int(MetaAction.EMERGENCY_BRAKE)
+
+SPEED_GAIN_PER_S = 1.0
+"""Acceleration per speed error: an error of 2.5 m/s brakes with 2.5 m/s2."""
+JERK_UP_MPS3 = 3.0
+JERK_DOWN_MPS3 = 4.0
+COMFORT_BRAKE_MPS2 = 3.0
+BRAKE_RELEASE_JERK_MPS3 = 12.0
+"""A brake harder than comfort is let go this fast; at the comfort jerk one emergency tick would cost 6 m/s of speed."""
+
+LATERAL_GAIN_PER_S = 1.7
+LATERAL_SPEED_MAX_MPS = 2.5
+LATERAL_ACCEL_MAX_MPS2 = 6.0
+HEADING_GAIN_PER_S = 5.0
+HEADING_MAX_RAD = 0.6
+STEERING_MAX_RAD = 0.5
+STEERING_SPEED_MIN_MPS = 0.5
+"""Below this speed steering would only turn the car on the spot."""
+HALF_WHEELBASE_M = 2.5
+"""Half of the car's length, as highway-env's bicycle model has it."""
+
+
+def edit_set_points(
+    meta: int,
+    target_speed: float,
+    target_lane: int,
+    previous_lane: int,
+    lanes_n: int,
+    speed_goal: float,
+    speed_floor: float,
+    speed_ceiling: float,
+) -> tuple[float, int, int]:
+    """Apply one meta-action once: (target speed in m/s, target lane, previous lane or -1).
+
+    A speed step towards `speed_goal` (m/s; nan: none) stops at it. Steps stay within [`speed_floor`, `speed_ceiling`].
+    While a lane change is under way (`previous_lane` >= 0) the same direction is ignored and the opposite gives it up.
+    """
+    if meta == SLOW_DOWN:
+        stepped = max(target_speed - SPEED_STEP_MPS, speed_floor)
+        if stepped < speed_goal < target_speed:  # false for nan
+            stepped = speed_goal
+        return stepped, target_lane, previous_lane
+    if meta == SPEED_UP:
+        stepped = min(target_speed + SPEED_STEP_MPS, speed_ceiling)
+        if target_speed < speed_goal < stepped:
+            stepped = speed_goal
+        return stepped, target_lane, previous_lane
+    if meta in (LEFT, RIGHT):
+        step = 1 if meta == RIGHT else -1
+        if previous_lane >= 0:
+            if (previous_lane - target_lane) * step > 0:
+                return target_speed, previous_lane, target_lane
+            return target_speed, target_lane, previous_lane
+        if 0 <= target_lane + step < lanes_n:
+            return target_speed, target_lane + step, target_lane
+    return target_speed, target_lane, previous_lane
+
+
+def acceleration_command(speed: float, target_speed: float, last_accel: float, meta: int, dt: float) -> float:
+    """Longitudinal acceleration for the next `dt` s, in [-6, 3] m/s2; never drives backwards.
+
+    Proportional to the speed error with bounded jerk; EMERGENCY_BRAKE brakes fully at once.
+    """
+    if meta == EMERGENCY_BRAKE:
+        accel = -EGO_BRAKE_MAX_MPS2
+    else:
+        up = last_accel + JERK_UP_MPS3 * dt
+        if last_accel < -COMFORT_BRAKE_MPS2:
+            up = min(last_accel + BRAKE_RELEASE_JERK_MPS3 * dt, -COMFORT_BRAKE_MPS2 + JERK_UP_MPS3 * dt)
+        accel = SPEED_GAIN_PER_S * (target_speed - speed)
+        accel = min(max(accel, last_accel - JERK_DOWN_MPS3 * dt), up)
+        accel = min(max(accel, -EGO_BRAKE_MAX_MPS2), EGO_ACCEL_MAX_MPS2)
+    # Standstill ends any braking: the car stops within this tick and does not roll back.
+    return max(accel, -max(speed, 0.0) / dt)
+
+
+def steering_command(x: float, y: float, heading: float, speed: float, y_target: float) -> float:
+    """Front-wheel angle in rad that brings the car to the line y = `y_target` (m) of a straight road along x.
+
+    highway-env's cascade (position -> lateral speed -> heading -> heading rate -> angle) with bounded lateral speed
+    and bounded lateral acceleration, so that a change looks the same at 5 and at 25 m/s. `x` is there for curved roads.
+    """
+    if speed < STEERING_SPEED_MIN_MPS:
+        return 0.0
+    lateral = LATERAL_GAIN_PER_S * (y_target - y)
+    lateral = min(max(lateral, -LATERAL_SPEED_MAX_MPS), LATERAL_SPEED_MAX_MPS)
+    heading_wanted = math.asin(min(max(lateral / speed, -1.0), 1.0))
+    heading_wanted = min(max(heading_wanted, -HEADING_MAX_RAD), HEADING_MAX_RAD)
+    rate_max = LATERAL_ACCEL_MAX_MPS2 / speed
+    rate = min(max(HEADING_GAIN_PER_S * (heading_wanted - heading), -rate_max), rate_max)
+    slip = math.asin(min(max(HALF_WHEELBASE_M * rate / speed, -1.0), 1.0))
+    # The car moves along heading + slip: capped so, it never moves more sideways than wanted, however slow it is.
+    slip_max = abs(heading_wanted - heading)
+    slip = min(max(slip, -slip_max), slip_max)
+    steering = math.atan(2.0 * math.tan(slip))
+    return min(max(steering, -STEERING_MAX_RAD), STEERING_MAX_RAD)
+
+
+def change_finished(y: float, y_target: float) -> bool:
+    """Whether the ego's centre has reached the target lane; then the previous lane becomes -1."""
+    return abs(y_target - y) <= LANE_CHANGE_DONE_M

@@ -1,0 +1,151 @@
+"""The simulator without its process: one tick from an action to an observation, no clock and no bus."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from schemas import measures
+from schemas.messages import Action, Event, MetaAction, Observation
+from sim_node.config import SimConfig
+from sim_node.env import TwoWayEnv
+from sim_node.observe import observe
+
+HOLD_TICKS = 2
+"""An action may be this many ticks old, and without one the set-points hold for this many ticks."""
+FAILSAFE_BRAKE_MPS2 = 2.5
+TTC_CAP_S = 100.0
+
+
+@dataclass
+class Metrics:
+    """Counts since the start, over all episodes."""
+
+    ticks: int = 0
+    answered: int = 0
+    """Ticks that applied an action."""
+    holds: int = 0
+    """Ticks without an action that held the set-points."""
+    failsafes: int = 0
+    """Ticks without an action that braked."""
+    episodes: int = 0
+    collisions: int = 0
+    passed: int = 0
+    """Episodes in which the ego passed the first lead and came back to its lane."""
+    min_ttc_s: float = TTC_CAP_S
+    """Smallest time to collision with a car ahead in the ego's lane or its target lane."""
+
+
+class SimNode:
+    """The world between two messages. `step` never waits: what has not arrived is replaced by the fail-safe."""
+
+    def __init__(self, config: SimConfig) -> None:
+        self._config = config
+        self._env = TwoWayEnv({"simulation_frequency": config.hz, "policy_frequency": config.hz})
+        self._events: list[Event] = []
+        self.metrics = Metrics()
+        self.epoch = 0
+        self.tick = 0
+        self.over = ""
+        """Why the episode has ended; empty while it runs."""
+        self._applied_tick = -1
+        self._unanswered = 0
+        self._has_passed = False
+
+    @property
+    def speed_mps(self) -> float:
+        """The ego's speed."""
+        return float(self._env.ego.speed)
+
+    @property
+    def lane(self) -> int:
+        """The lane the ego's centre is in."""
+        return self._env.lane_at(float(self._env.ego.position[1]))
+
+    def reset(self, epoch: int) -> None:
+        """Begin the next episode as world `epoch`, at tick 0, with the next seed."""
+        self._env.reset(seed=self._config.seed + self.metrics.episodes)
+        self.metrics.episodes += 1
+        self.epoch, self.tick, self.over = epoch, 0, ""
+        self._applied_tick, self._unanswered, self._has_passed = -1, 0, False
+        lead = [v for v in self._env.road.vehicles if v.number == 1]
+        self._first_lead = lead[0]
+
+    def step(self, action: Action | None, now_ns: int) -> Observation:
+        """Advance one tick and observe."""
+        self.advance(action, now_ns)
+        return self.observation(now_ns)
+
+    def advance(self, action: Action | None, now_ns: int) -> None:
+        """Apply the action, if it is usable, for one tick. After a crash or the road's end: begin the next epoch."""
+        self.metrics.ticks += 1
+        if self.over:
+            why = self.over
+            self.reset(self.epoch + 1)
+            seed = self._config.seed + self.metrics.episodes - 1
+            detail = f"new world after {why}, seed {seed}"
+            self._events.append(
+                Event(epoch=self.epoch, stamp_ns=now_ns, kind="world", node="sim", tick=0, rule=why, detail=detail)
+            )
+            return
+        ego = self._env.ego
+        ego.speed_goal = math.nan
+        meta = MetaAction.CRUISE
+        if action is not None and self._usable(action):
+            meta = MetaAction(action.meta_action)
+            if action.speed_goal_mps is not None:
+                ego.speed_goal = action.speed_goal_mps
+            self._applied_tick = action.answers_tick
+            self._unanswered = 0
+            self.metrics.answered += 1
+        else:
+            self._unanswered += 1
+            if self._unanswered <= HOLD_TICKS:
+                self.metrics.holds += 1
+            else:
+                self.metrics.failsafes += 1
+                # The executor brakes with its gain times this difference: a gentle, jerk-bounded stop in lane.
+                ego.target_speed = max(0.0, float(ego.speed) - FAILSAFE_BRAKE_MPS2)
+        self._env.step(int(meta))
+        self.tick += 1
+        self._measure()
+
+    def observation(self, now_ns: int) -> Observation:
+        """What the ego sees at the current tick."""
+        return observe(
+            self._env, epoch=self.epoch, tick=self.tick, applied_tick=self._applied_tick, now_ns=now_ns
+        )
+
+    def take_events(self) -> list[Event]:
+        """Events since the last call."""
+        taken, self._events = self._events, []
+        return taken
+
+    def _usable(self, action: Action) -> bool:
+        """An action of this world, not older than the hold, not applied yet, and one that exists."""
+        return (
+            action.epoch == self.epoch
+            and max(self.tick - HOLD_TICKS, self._applied_tick + 1) <= action.answers_tick <= self.tick
+            and 0 <= action.meta_action < len(MetaAction)
+        )
+
+    def _measure(self) -> None:
+        env, ego = self._env, self._env.ego
+        lanes = {self.lane, ego.target_lane}
+        for v in env.road.vehicles:
+            if v is not ego and v.position[0] > ego.position[0] and env.lane_at(float(v.position[1])) in lanes:
+                gap = measures.gap_m(float(ego.position[0]), float(v.position[0]), ego.LENGTH, v.LENGTH)
+                # Side by side in neighbouring lanes during a change is no collision; a crash counts as 0 below.
+                if gap > 0.0:
+                    ttc = measures.ttc_s(gap, float(ego.velocity[0] - v.velocity[0]))
+                    self.metrics.min_ttc_s = min(self.metrics.min_ttc_s, ttc)
+        ahead = ego.position[0] > self._first_lead.position[0] + measures.CAR_LENGTH_M
+        if ahead and not self._has_passed and ego.previous_lane < 0 and ego.target_lane == env.scenario.ego_lane:
+            self._has_passed = True
+            self.metrics.passed += 1
+        if ego.crashed:
+            self.over = "collision"
+            self.metrics.collisions += 1
+            self.metrics.min_ttc_s = 0.0
+        elif ego.position[0] > env.scenario.goal_x_m:
+            self.over = "road end"

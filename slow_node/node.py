@@ -1,0 +1,147 @@
+"""The slow node's shell: bus and model around `Deliberation`, in one asyncio loop that never waits for the model."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import time
+from collections.abc import Callable
+
+from schemas import topics
+from schemas.bus import Bus, open_bus
+from schemas.codec import Fault, decode_command
+from schemas.messages import Directive, Reply
+from schemas.process import Heartbeat, log
+from slow_node.config import SlowConfig
+from slow_node.deliberation import Call, Deliberation, Drop, Effect, Learn
+from slow_node.embedding import load_embedder
+from slow_node.memory import Memory
+from slow_node.model import ChatModel
+from slow_node.scene import describe, encode_scene
+from slow_node.thinking import Thinker, Verdict
+
+NAME = "slow"
+POLL_S = 0.03
+
+
+class SlowNode:
+    """Polls the bus, feeds the deliberation, carries its effects out."""
+
+    def __init__(self, bus: Bus, memory: Memory, model: ChatModel, thinker: Thinker) -> None:
+        self._bus, self._memory, self._model, self._thinker = bus, memory, model, thinker
+        self._observations = bus.subscribe(topics.OBSERVATION)
+        self._commands = bus.subscribe_bytes(topics.COMMAND)
+        self._events = bus.subscribe(topics.EVENT)
+        self._deliberation = Deliberation()
+        self._thought: asyncio.Task[None] | None = None
+        self._chores: set[asyncio.Task[None]] = set()
+        self._seen: tuple[int, int] | None = None
+        self._model_ms = 0.0
+
+    def figures(self) -> dict[str, float]:
+        """For the heartbeat; called from its thread."""
+        return {**self._deliberation.figures, "calls": float(self._model.calls), "model_ms": self._model_ms}
+
+    async def run(self, stopped: Callable[[], bool] = lambda: False, heart: Heartbeat | None = None) -> None:
+        """Until `stopped`, which tests use; a process is ended by its signals."""
+        try:
+            while not stopped():
+                if heart is not None:
+                    heart.begin()
+                    heart.epoch = self._deliberation.epoch
+                self.poll(time.monotonic_ns())
+                if heart is not None:
+                    heart.end()
+                await asyncio.sleep(POLL_S)
+        finally:
+            self._drop_thought()
+            await self._model.close()
+
+    def poll(self, now_ns: int) -> None:
+        """One round: the newest observation, then what the fast node reports, then the passenger."""
+        observation = self._observations.peek()
+        if observation is not None and (observation.epoch, observation.tick) != self._seen:
+            self._seen = (observation.epoch, observation.tick)
+            self._carry_out(self._deliberation.on_scene(encode_scene(observation), now_ns))
+        for event in self._events.take():
+            self._carry_out(self._deliberation.on_event(event, now_ns))
+        for number, payload in enumerate(self._commands.take()):
+            arrival_id = now_ns // 1000 + number
+            try:
+                command = decode_command(
+                    payload, fallback_id=arrival_id, epoch=self._deliberation.epoch, now_ns=now_ns)
+            except Fault as fault:
+                self._carry_out(self._deliberation.refuse_payload(str(fault), arrival_id, now_ns))
+                continue
+            self._carry_out(self._deliberation.on_command(command, now_ns))
+
+    def _carry_out(self, effects: list[Effect]) -> None:
+        for effect in effects:
+            match effect:
+                case Directive():
+                    self._bus.publish(topics.DIRECTIVE, effect)
+                case Reply():
+                    self._bus.publish(topics.REPLY, effect)
+                    log(NAME, effect.outcome, effect.why, command_id=effect.command_id, text=effect.text)
+                case Call():
+                    self._drop_thought()
+                    self._thought = asyncio.get_running_loop().create_task(self._think(effect))
+                case Drop():
+                    self._drop_thought()
+                case Learn():
+                    chore = asyncio.get_running_loop().create_task(self._learn(effect))
+                    self._chores.add(chore)
+                    chore.add_done_callback(self._chores.discard)
+
+    def _drop_thought(self) -> None:
+        if self._thought is not None:
+            self._thought.cancel()
+            self._thought = None
+
+    async def _think(self, call: Call) -> None:
+        try:
+            verdict = await self._thinker.think(call.command, call.scene, call.intent)
+        except Exception as error:  # a passenger must get an answer even to a thought that broke
+            log(NAME, "fault", f"{type(error).__name__}: {error}")
+            verdict = Verdict(None, f"internal error: {type(error).__name__}", model_answered=False)
+        if verdict.model_ms:
+            self._model_ms = verdict.model_ms
+        # Forgotten before its effects: they must not cancel the task that carries them out.
+        self._thought = None
+        self._carry_out(self._deliberation.on_verdict(call.id, verdict, time.monotonic_ns()))
+
+    async def _learn(self, effect: Learn) -> None:
+        await asyncio.to_thread(
+            self._memory.learn, effect.command, describe(effect.scene), effect.slots, "fulfilled")
+
+
+def build(bus: Bus, config: SlowConfig) -> tuple[SlowNode, Memory]:
+    """The node with its parts; the caller closes the memory."""
+    memory = Memory(load_embedder(), config.memory_path)
+    key = "" if config.embedded else os.environ.get(config.api_key_env, "")
+    if not key and not config.embedded:
+        log(NAME, "key", f"{config.api_key_env} is not set; calling {config.base_url} without a key")
+    model = ChatModel(config.base_url, config.model, key, short=config.embedded)
+    thinker = Thinker(memory, model, short=config.embedded, k=config.k, budget_s=config.budget_s)
+    return SlowNode(bus, memory, model, thinker), memory
+
+
+async def _until_signal(node: SlowNode, heart: Heartbeat) -> None:
+    """Signals become a flag: an exception raised by a handler could end a thought instead of the node."""
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    await node.run(stop.is_set, heart)
+
+
+def serve(config: SlowConfig) -> None:
+    """Run until a signal."""
+    with open_bus(config.bus) as bus:
+        node, memory = build(bus, config)
+        try:
+            with Heartbeat(bus, NAME, node.figures) as heart:
+                log(NAME, "ready", base_url=config.base_url, model=config.model, examples=len(memory))
+                asyncio.run(_until_signal(node, heart))
+        finally:
+            memory.close()

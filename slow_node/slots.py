@@ -1,0 +1,70 @@
+"""What the language model may answer: a few flat slots, validated before anything is made of them."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Outcome = Literal["directive", "refuse", "unclear"]
+Speed = Literal["faster", "slower", "keep", "stop", "none"]
+LaneWish = Literal["left", "right", "keep", "none"]
+Gap = Literal["closer", "farther", "none"]
+
+MAX_REASONING_CHARS = 80
+
+
+class Slots(BaseModel):
+    """The passenger's wish in slots: the structured part of the model's text R_t (Eq. 7), before Parse (Eq. 8).
+
+    Every slot but the outcome has a default, so that a small model need only write what was asked for.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    reasoning: str = Field(default="", max_length=400)
+    outcome: Outcome
+    speed: Speed = "none"
+    target_speed_mps: float | None = Field(default=None, ge=0, le=100, allow_inf_nan=False)
+    lane: LaneWish = "none"
+    gap: Gap = "none"
+    overtake: bool = False
+    cancel: bool = False
+    say: str = Field(default="", max_length=300)
+
+    def decision(self) -> tuple[object, ...]:
+        """The slots that decide what the car does, for comparing two answers."""
+        if self.outcome != "directive":
+            return (self.outcome,)
+        return (self.outcome, self.speed, self.lane, self.gap, self.overtake, self.cancel)
+
+    def wishes_nothing(self) -> bool:
+        """A directive that asks for nothing at all."""
+        return (
+            self.decision() == ("directive", "none", "none", "none", False, False) and self.target_speed_mps is None
+        )
+
+    def compact(self) -> str:
+        """JSON of the slots that differ from their defaults: the shortest answer worth imitating."""
+        return json.dumps(self.model_dump(exclude_defaults=True), ensure_ascii=False, separators=(",", ":"))
+
+
+def answer_schema(short: bool) -> dict[str, Any]:
+    """JSON schema of an answer. Short: unasked slots may be left out. Else all are required, as strict servers want."""
+    properties: dict[str, Any] = {
+        "reasoning": {"type": "string"},
+        "outcome": {"type": "string", "enum": ["directive", "refuse", "unclear"]},
+        "speed": {"type": "string", "enum": ["faster", "slower", "keep", "stop", "none"]},
+        "target_speed_mps": {"type": ["number", "null"]},
+        "lane": {"type": "string", "enum": ["left", "right", "keep", "none"]},
+        "gap": {"type": "string", "enum": ["closer", "farther", "none"]},
+        "overtake": {"type": "boolean"},
+        "cancel": {"type": "boolean"},
+        "say": {"type": "string"},
+    }
+    if short:
+        properties["reasoning"] = {"type": "string", "maxLength": MAX_REASONING_CHARS}
+        del properties["say"]  # the small model's sentences are not worth the second they take; ours are
+    required = ["reasoning", "outcome"] if short else list(properties)
+    return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}

@@ -1,0 +1,121 @@
+"""The bus, over real zenoh sessions."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from deploy.processes import free_port
+from schemas import topics
+from schemas.bus import BusConfig, BusError, LocalBus, open_bus
+from schemas.messages import Command, Directive
+from schemas.topics import Topic
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    path = Path(tempfile.mkdtemp(prefix="fastslow-"))  # pytest's own are too long for a Unix socket
+    yield path
+    shutil.rmtree(path, ignore_errors=True)
+
+
+def peer(folder: Path, name: str, *others: str) -> BusConfig:
+    def socket(of: str) -> str:
+        return f"unixsock-stream/{folder}/{of}.sock"
+
+    return BusConfig(listen=(socket(name),), connect=tuple(map(socket, others)))
+
+
+def directive(number: int) -> Directive:
+    return Directive(epoch=1, stamp_ns=time.monotonic_ns(), id=number, command_id=0, scene_tick=0)
+
+
+def command(number: int) -> Command:
+    return Command(epoch=0, stamp_ns=time.monotonic_ns(), id=number, text=f"command {number}")
+
+
+def publish_until(publish: Callable[[], None], arrived: Callable[[], object]) -> None:
+    """Publish again and again until it arrives: two sessions find each other in their own time."""
+    def again() -> bool:
+        publish()
+        return bool(arrived())
+
+    until(again)
+
+
+def until(condition: Callable[[], bool], timeout_s: float = 5.0) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.01)
+
+
+def test_the_newest_wins_in_a_ring_of_one(folder: Path) -> None:
+    with open_bus(peer(folder, "a")) as a, open_bus(peer(folder, "b", "a")) as b:
+        reader = b.subscribe(topics.DIRECTIVE)
+        publish_until(lambda: a.publish(topics.DIRECTIVE, directive(0)), reader.take)
+        for number in range(1, 101):
+            a.publish(topics.DIRECTIVE, directive(number))
+        time.sleep(0.3)
+        assert [message.id for message in reader.take()] == [100]
+        assert reader.peek() is not None
+        assert reader.take() == []
+
+
+def test_a_router_forwards_between_a_peer_and_a_tcp_client(folder: Path) -> None:
+    port = free_port()
+    router = BusConfig(mode="router", listen=(f"tcp/127.0.0.1:{port}", f"unixsock-stream/{folder}/bus.sock"))
+    with (
+        open_bus(router) as middle,
+        open_bus(peer(folder, "node", "bus")) as node,
+        open_bus(BusConfig(mode="client", connect=(f"tcp/127.0.0.1:{port}",))) as client,
+    ):
+        at_node, at_middle, at_client = (bus.subscribe(topics.COMMAND) for bus in (node, middle, client))
+        publish_until(lambda: client.publish(topics.COMMAND, command(0)), at_node.take)
+        time.sleep(0.2)
+        for reader in (at_node, at_middle, at_client):
+            reader.take()
+        client.publish(topics.COMMAND, command(1))
+        node.publish(topics.COMMAND, command(2))
+        time.sleep(0.3)
+        for reader in (at_node, at_middle, at_client):  # each once, whatever way there is
+            assert sorted(message.id for message in reader.take()) == [1, 2]
+
+
+def test_a_malformed_payload_is_counted_and_skipped(folder: Path) -> None:
+    # What an outsider publishes: something else, on the key of directives.
+    not_directives: Topic[Command] = Topic(
+        name="directive", type=Command, publisher="outsider", hz=None, stale_after_s=1.0, depth=1)
+    with open_bus(peer(folder, "a")) as a, open_bus(peer(folder, "b", "a")) as b:
+        reader = b.subscribe(topics.DIRECTIVE)
+        publish_until(lambda: a.publish(topics.DIRECTIVE, directive(1)), reader.peek)
+        a.publish(not_directives, command(2))
+        until(lambda: (reader.peek(), b.faults.get("directive", 0) == 1)[1])
+        newest = reader.peek()
+        assert newest is not None
+        assert newest.id == 1
+        assert "directive" in b.last_fault
+
+
+def test_a_client_that_reaches_nobody_says_so_at_once() -> None:
+    start = time.monotonic()
+    with pytest.raises(BusError), open_bus(BusConfig(mode="client", connect=(f"tcp/127.0.0.1:{free_port()}",))):
+        pass
+    assert time.monotonic() - start < 2.0
+
+
+def test_the_local_bus_keeps_the_same_promises() -> None:
+    bus = LocalBus()
+    reader = bus.subscribe(topics.DIRECTIVE)
+    assert reader.peek() is None
+    for number in range(3):
+        bus.publish(topics.DIRECTIVE, directive(number))
+    assert [message.id for message in reader.take()] == [2]
+    bus.publish_bytes(topics.DIRECTIVE, b"\xc1")
+    assert reader.take() == []
+    assert bus.faults == {"directive": 1}

@@ -1,0 +1,82 @@
+"""The fast node in lock step with the real simulator, and on its own when things fail."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deploy.lockstep import overtake_at, run_episode
+from fast_node.config import FastConfig
+from fast_node.node import FastNode
+from fast_node.policy import load_policy
+from schemas.messages import Directive, Lane, MetaAction, Observation
+
+LANES = (Lane(y_m=0, start_m=0, end_m=3000, direction=-1, kind="oncoming"), Lane(y_m=4, start_m=0, end_m=3000))
+
+
+def observation(tick: int, *cars: tuple[float, ...], speed: float = 5.0, **fields: object) -> Observation:
+    rows = np.array([[0, 500, 4, speed, 0, 0, 5, 2, 1], *cars], np.float32)
+    return Observation(**{"epoch": 1, "stamp_ns": 0, "tick": tick, "scenario": "two-way", "lanes": LANES,
+                          "rows": rows.tobytes(), "target_lane": 1, "target_speed_mps": speed, **fields})
+
+
+def directive(**fields: object) -> Directive:
+    return Directive(**{"epoch": 1, "stamp_ns": 0, "id": 5, "command_id": 4, "scene_tick": 0,
+                        "manoeuvre": "overtake", "target_speed_mps": 8.0, **fields})
+
+
+LEAD, ONCOMING = (1, 514, 4, 4, 0, 0, 5, 2, 1), (2, 590, 0, -6, 0, 0, 5, 2, 0)
+
+
+@pytest.fixture
+def node() -> FastNode:
+    return FastNode(FastConfig(), load_policy())
+
+
+def test_told_to_overtake_it_passes_the_slow_car_and_returns_without_a_collision():
+    runs = [run_episode(seed, load_policy(), overtake_at(3.0), duration_s=60) for seed in range(1000, 1004)]
+    assert not any(r.collided for r in runs)
+    assert sum(r.passed for r in runs) >= 3
+
+
+def test_told_nothing_it_stays_in_its_lane():
+    run = run_episode(1000, load_policy(), lambda observation, now: None, duration_s=20)
+    assert (set(run.lanes), run.collided) == ({1}, False)
+
+
+def test_the_same_seed_drives_the_same_way():
+    one, two = (run_episode(1001, load_policy(), overtake_at(3.0), duration_s=15) for _ in range(2))
+    assert one.speeds == two.speeds
+
+
+def test_a_policy_that_fails_is_answered_for_by_the_fallback(node, monkeypatch):
+    monkeypatch.setattr(node._policy, "logits", lambda x: np.full(5, np.nan))
+    action, _ = node.step(observation(0), None, 0)
+    assert (action.source, action.meta_action, action.answers_tick) == ("fallback", MetaAction.CRUISE, 0)
+
+
+def test_an_overtake_held_back_by_oncoming_traffic_is_reported_once_with_its_rule(node):
+    events = [e for t in range(5) for e in node.step(observation(t, LEAD, ONCOMING), directive(), 0)[1]]
+    assert [(e.kind, e.rule, e.vehicle, e.directive_id) for e in events] == [("delayed", "oncoming traffic", 2, 5)]
+
+
+def test_an_overtake_is_fulfilled_once_the_car_is_passed_and_the_ego_is_home(node):
+    node.step(observation(0, LEAD), directive(), 0)
+    _, events = node.step(observation(1, (1, 480, 4, 4, 0, 0, 5, 2, 1)), directive(), 0)
+    assert [e.kind for e in events] == ["fulfilled"]
+
+
+def test_a_directive_ends_with_its_time_to_live(node):
+    node.step(observation(0, LEAD, ONCOMING), directive(ttl_s=1.0), 0)
+    _, events = node.step(observation(30, LEAD, ONCOMING), directive(ttl_s=1.0), 2_000_000_000)
+    assert "expired" in [e.kind for e in events]
+
+
+def test_a_directive_of_another_world_is_ignored(node):
+    action, events = node.step(observation(0, LEAD), directive(epoch=99), 0)
+    assert (action.speed_goal_mps, events) == (5.0, [])
+
+
+def test_the_mask_decides_whatever_the_directive_wants(node):
+    action, _ = node.step(observation(0, (1, 506, 4, 0, 0, 0, 5, 2, 1), speed=8.0), directive(), 0)
+    assert action.meta_action == MetaAction.EMERGENCY_BRAKE

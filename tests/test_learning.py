@@ -1,0 +1,80 @@
+"""The learning code against numbers worked out by hand, and the export against torch."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from fast_node.features import FEATURES, policy_input
+from fast_node.policy import load_policy
+from fast_node.training.learner import advantages, masked_distribution
+from fast_node.training.network import ActorCritic
+from fast_node.training.train import export
+from schemas.process import ConfigError
+
+
+def column(*values: float) -> np.ndarray:
+    return np.array(values, np.float32)[:, None]
+
+
+def test_advantages_follow_the_hand_computed_sum():
+    # delta_1 = 2 + 0.5*0 - 1 = 1; delta_0 = 1 + 0.5*1 - 0.5 = 1; A_0 = 1 + 0.5*0.5*1 = 1.25
+    a = advantages(column(1, 2), column(0.5, 1), column(1, 0), column(0, 1).astype(bool), column(0, 1).astype(bool),
+                   gamma=0.5, lam=0.5)
+    assert a[:, 0].tolist() == [1.25, 1.0]
+
+
+def test_a_truncated_episode_is_bootstrapped_and_a_terminated_one_is_not():
+    ended, no = column(1).astype(bool), column(0).astype(bool)
+    assert advantages(column(1), column(0), column(4), no, ended, 0.5, 0.9)[0, 0] == 3.0
+    assert advantages(column(1), column(0), column(4), ended, ended, 0.5, 0.9)[0, 0] == 1.0
+
+
+def test_closed_actions_have_no_probability():
+    dist = masked_distribution(torch.zeros(1, 5), torch.tensor([[True, True, False, False, False]]))
+    assert dist.probs[0].tolist() == [0.5, 0.5, 0.0, 0.0, 0.0]
+
+
+def test_the_exported_policy_answers_as_torch_does(tmp_path):
+    torch.manual_seed(3)
+    export(ActorCritic(), tmp_path / "p.safetensors", {}, observations=50)  # raises when they differ
+
+
+def test_the_policy_does_not_depend_on_the_order_of_the_other_vehicles():
+    policy = load_policy()
+    x = np.random.default_rng(0).normal(size=(15, len(FEATURES))).astype(np.float32)
+    x[:, 0] = 1.0
+    shuffled = np.concatenate([x[:1], np.random.default_rng(1).permutation(x[1:])])
+    assert np.allclose(policy.logits(x), policy.logits(shuffled), atol=1e-4)
+
+
+def test_a_policy_for_other_features_is_refused_with_the_fix(tmp_path):
+    path = tmp_path / "p.safetensors"
+    export(ActorCritic(), path, {}, observations=1)
+    sidecar = json.loads(path.with_suffix(".json").read_text())
+    path.with_suffix(".json").write_text(json.dumps({**sidecar, "layout_hash": "other"}))
+    with pytest.raises(ConfigError, match="train anew"):
+        load_policy(path)
+
+
+def test_a_missing_or_corrupt_policy_is_refused_in_one_line(tmp_path):
+    with pytest.raises(ConfigError, match="fastslow train"):
+        load_policy(tmp_path / "none.safetensors")
+    (tmp_path / "bad.json").write_text("{}")
+    (tmp_path / "bad.safetensors").write_bytes(b"not weights")
+    with pytest.raises(ConfigError, match="corrupt"):
+        load_policy(tmp_path / "bad.safetensors")
+
+
+def test_the_wish_and_the_neighbours_stand_where_the_layout_says():
+    rows = np.zeros((2, 9), np.float32)
+    rows[0, 1:4], rows[1, :4] = (100, 4, 5), (1, 125, 0, -5)
+    x = policy_input(rows, *map(np.float64, (0.0, 8.0, 1.5, 6.0, 0.0)))
+    own, other = dict(zip(FEATURES, x[0], strict=True)), dict(zip(FEATURES, x[1], strict=True))
+    assert (own["y_des"], round(float(own["v_des"]), 3), own["headway"], round(float(own["set_point"]), 3)) == (
+        -1.0, 0.6, 0.5, 0.2)
+    assert (other["dx"], other["dy"], other["oncoming"], other["is_ego"]) == (0.5, -1.0, 1.0, 0.0)
+    assert not x[2:].any()
