@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -109,6 +111,50 @@ def doctor(port: Port = _PORT, as_json: Json = False) -> None:
     from deploy.doctor import doctor as examine
 
     raise typer.Exit(examine(port=port, as_json=as_json))
+
+
+@app.command(epilog="Examples:\n\n  fastslow train\n\n"
+                    "  fastslow train --steps 20000 --seed 1 --out mine.safetensors\n\n" + _EXITS)
+def train(
+    out: Annotated[Path, typer.Option(help="Where the policy goes, with a JSON sidecar beside it.")] = Path(
+        "runs/two_way.safetensors"),
+    steps: Annotated[int, typer.Option(min=1024, help="Decisions to learn from (the paper's budget by default).")] = (
+        100_000),
+    seed: Annotated[int, typer.Option(min=0, help="Of the network, the traffic and the directives.")] = 0,
+) -> None:
+    """Learn the two-way policy (some minutes on one core)."""
+    try:
+        from deploy.training import train_two_way
+
+        figures = train_two_way(out, steps, seed)
+    except ImportError as error:
+        typer.echo(f"fastslow: {error.name} is missing: pip install 'fastslow[train]'", err=True)
+        raise typer.Exit(78) from None
+    typer.echo(f"{out}: return {figures['episodic_return']:.2f}, crashes {figures['crash_rate']:.1%}", err=True)
+
+
+@app.command(epilog="Examples:\n\n  fastslow evaluate\n\n  fastslow evaluate --episodes 100 --json\n\n" + _EXITS)
+def evaluate(
+    checkpoint: Annotated[Path | None, typer.Option(help="A policy; by default the one that drives.")] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="How many, with seeds from 1000.")] = 10,
+    duration: Annotated[float, typer.Option(min=1.0, help="Seconds an episode.")] = 60.0,
+    as_json: Json = False,
+) -> None:
+    """Drive lock-step episodes of two-way, told to overtake at 3 s, and count what came of it."""
+    from deploy.evaluate import evaluate as run_all
+    from schemas.process import CONFIG, ConfigError
+
+    try:
+        result = run_all(checkpoint, episodes, duration)
+    except ConfigError as error:
+        typer.echo(f"fastslow: {error}", err=True)
+        raise typer.Exit(CONFIG) from None
+    if as_json:
+        typer.echo(json.dumps(result))
+        return
+    for row in result["rows"]:
+        for name, value in row.items():
+            typer.echo(f"{name:>18}  {value}")
 
 
 def main() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ def wilson95(successes: int, n: int) -> tuple[float, float]:
     return max(0.0, centre - half), min(1.0, centre + half)
 
 
-def evaluate(checkpoint: Path | None, episodes: int, duration_s: float) -> dict[str, object]:
+def evaluate(checkpoint: Path | None, episodes: int, duration_s: float) -> dict[str, Any]:
     """One row for the fast system on two-way: told at 3 s to overtake; success = passed, back in lane, no collision."""
     policy = load_policy(checkpoint or SHIPPED)
     runs = [run_episode(FIRST_SEED + i, policy, overtake_at(3.0), duration_s=duration_s) for i in range(episodes)]

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from fast_node.mask import BEHIND_M, RULES
+from fast_node.mask import BEHIND_M
 from schemas.clock import NS
 from schemas.messages import Closure, Directive, Event, MetaAction, Observation
 
@@ -62,7 +62,6 @@ class Coordination:
     ) -> tuple[Wish, list[Event]]:
         """The wish for this tick, and events about the directive that it follows."""
         events: list[Event] = []
-        tick = observation.tick
         if observation.epoch != self._epoch:
             self._epoch = observation.epoch
             self._cruise_mps = round(observation.target_speed_mps or rows[0][3])
@@ -77,8 +76,7 @@ class Coordination:
             events.append(self._event("expired", current, observation))
         if current is None or (self._done and current.manoeuvre != "cruise") or (
                 now_ns - current.stamp_ns > current.ttl_s * NS):
-            speed = self._cruise_mps if current is None or current.manoeuvre == "cruise" else self._cruise_mps
-            return Wish(home, speed, self._headway_s), events
+            return Wish(home, self._cruise_mps, self._headway_s), events
         limit = observation.lanes[home].speed_limit_mps
         speed = self._cruise_mps if current.target_speed_mps is None else current.target_speed_mps
         lane = home
@@ -97,7 +95,6 @@ class Coordination:
             self._done = True
             self._cruise_mps = speed if current.manoeuvre != "stop" else 0.0
             events.append(self._event("fulfilled", current, observation, since=current.scene_tick))
-        del tick
         return wish, events
 
     def verdict(
@@ -162,6 +159,3 @@ class Coordination:
             rule=closure.rule if closure else "", vehicle=closure.vehicle if closure else -1, since_tick=since,
             duration_s=(observation.tick - since) / observation.hz if since >= 0 else 0.0,
             directive_id=directive.id, command_id=directive.command_id, detail=detail)
-
-
-__all__ = ["RULES", "Coordination", "Wish", "wished_lane"]

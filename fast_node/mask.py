@@ -9,6 +9,7 @@ simulated traffic and our executor can do; they hold for that traffic, not for a
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from schemas.measures import CAR_LENGTH_M, gap_m, rss_opposite_m, rss_same_direction_m
@@ -63,7 +64,7 @@ def pass_time_s(distance: float, faster_mps: float) -> float:
     ramp_m = faster_mps * ramp_s + 0.5 * PASS_ACCEL * ramp_s * ramp_s
     if ramp_m <= distance:
         return ramp_s + (distance - ramp_m) / top
-    return ((faster_mps * faster_mps + 2.0 * PASS_ACCEL * distance) ** 0.5 - faster_mps) / PASS_ACCEL
+    return (math.sqrt(faster_mps * faster_mps + 2.0 * PASS_ACCEL * distance) - faster_mps) / PASS_ACCEL
 
 
 def neighbours(rows: Any, lane: int) -> tuple[int, int, int]:
@@ -148,10 +149,10 @@ def passing(rows: Any, home: int, away: int) -> tuple[int, int]:
 def close_actions(
     rows: Any, lanes: Any, target_speed: float, target_lane: int, previous_lane: int, rule: Any, vehicle: Any
 ) -> int:
-    """Write, per action, the rule that closes it (`OPEN` if none does) and the id of the vehicle; return how many are open.
+    """Write the rule that closes each action (`OPEN`: none) and the vehicle's id; return how many actions are open.
 
-    rows: (V, 9) as `ROW_COLUMNS`, ego first, id < 0 for an absent vehicle; lanes: (L, 6) y, start, end, direction, width,
-    limit; rule, vehicle: (6,) outputs. EMERGENCY_BRAKE is always open, and the only one left when the lead is too close.
+    rows: (V, 9) as `ROW_COLUMNS`, ego first, id < 0 for an absent vehicle; lanes: (L, 6) y, start, end, direction,
+    width, limit; rule, vehicle: (6,) outputs. EMERGENCY_BRAKE is always open.
     """
     ego = rows[0]
     x, y, v, length = ego[1], ego[2], ego[3], ego[6]
@@ -201,8 +202,9 @@ def close_actions(
         if limit < ceiling:
             ceiling, slower = limit, i
     end = lanes[target_lane][2] - x
-    if end < 60.0 and (2.0 * EGO_BRAKE * 0.5 * max(end - 10.0, 0.0)) ** 0.5 < ceiling and end > 0.0:
-        ceiling, slower = (EGO_BRAKE * max(end - 10.0, 0.0)) ** 0.5, -1
+    at_end = math.sqrt(EGO_BRAKE * max(end - 10.0, 0.0))  # half the braking power stops the ego 10 m before the end
+    if end < 60.0 and at_end < ceiling:
+        ceiling, slower = at_end, -1
     because = SPEED_FOR_GAP if slower >= 0 else LANE_ENDS
     if rule[CRUISE] == OPEN and target_speed > ceiling + 0.01:
         rule[CRUISE], vehicle[CRUISE] = because, slower
@@ -216,7 +218,7 @@ def close_actions(
         state, who = passing(rows, home, target_lane)
         if oncoming >= 0 or state != NOTHING_TO_PASS:
             back = rule[RIGHT] == OPEN
-            if state == ONCOMING or state == NO_RETURN:
+            if state in (ONCOMING, NO_RETURN):
                 ahead, _, _ = neighbours(rows, home)
                 alongside = ahead >= 0 and x + 0.5 * length > rows[ahead][1]
                 rule_now = FINISH if alongside or rule[RIGHT] == REAR_GAP else GIVE_UP

@@ -79,10 +79,10 @@ class FastNode:
     def _choose(self, logits: Array, rule: list[int], tick: int) -> tuple[int, str]:
         is_open = np.array([r == OPEN for r in rule[:POLICY_ACTIONS]])
         wanted = int(logits.argmax())
-        if tick - self._decided_tick < self._config.decision_ticks:
-            # Between decisions hold, but take a lane change that has just become possible.
-            if is_open[MetaAction.CRUISE] and not (wanted >= MetaAction.LEFT and is_open[wanted]):
-                return MetaAction.CRUISE, "policy"
+        # Between decisions hold, but take a lane change that has just become possible.
+        holding = tick - self._decided_tick < self._config.decision_ticks
+        if holding and is_open[MetaAction.CRUISE] and not (wanted >= MetaAction.LEFT and is_open[wanted]):
+            return MetaAction.CRUISE, "policy"
         if not is_open.any():
             return MetaAction.EMERGENCY_BRAKE, "masked"
         self._decided_tick = tick

@@ -40,7 +40,7 @@ class Policy:
         return out
 
     def _encode(self, z: Array, present: NDArray[np.bool_], p: str) -> Array:
-        """Eq. 11, z <- z + MHSA(z) + FFN(z) on a normalised input; the residual term is our departure, for stability."""
+        """Eq. 11 on a normalised input; the residual term is our departure, for stability."""
         w = self.weights
         mean = z.mean(-1, keepdims=True)
         var = ((z - mean) ** 2).mean(-1, keepdims=True)
@@ -59,7 +59,7 @@ class Policy:
 
 
 def load_policy(path: Path = SHIPPED) -> Policy:
-    """The policy in `path` with its `.json` sidecar. Raises `ConfigError` if missing, corrupt, or for other features."""
+    """The policy in `path` with its `.json` sidecar. Raises `ConfigError` if missing, corrupt or made for others."""
     sidecar_path = path.with_suffix(".json")
     try:
         sidecar = json.loads(sidecar_path.read_text())
@@ -70,5 +70,5 @@ def load_policy(path: Path = SHIPPED) -> Policy:
         raise ConfigError(f"the policy {path.name} is corrupt ({error}): restore it or train one anew") from None
     for name, want in (("layout_hash", LAYOUT_HASH), ("mask", MASK_VERSION)):
         if sidecar.get(name) != want:
-            raise ConfigError(f"the policy {path.name} has {name} {sidecar.get(name)!r}, this code {want!r}: train anew")
+            raise ConfigError(f"{path.name} has {name} {sidecar.get(name)!r}, this code {want!r}: train anew")
     return Policy(weights, sidecar)

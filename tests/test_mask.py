@@ -57,7 +57,8 @@ def test_too_close_a_lead_leaves_only_the_emergency_brake():
 
 
 def test_the_set_point_may_not_exceed_what_the_gap_admits():
-    assert closed([car(0, 500, 1, 4), car(1, 511, 1, 4)], target_speed=8.0)[MetaAction.CRUISE] == "speed above the gap's"
+    rows = [car(0, 500, 1, 4), car(1, 511, 1, 4)]
+    assert closed(rows, target_speed=8.0)[MetaAction.CRUISE] == "speed above the gap's"
 
 
 def test_the_time_of_a_pass_agrees_with_the_distance_gained():

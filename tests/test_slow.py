@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import socket
 import subprocess
 import sys
@@ -13,11 +14,13 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the node's own __main__ does, before NumPy loads
+
 import numpy as np
 import pytest
 
 from schemas import topics
-from schemas.bus import LocalBus
+from schemas.bus import LocalBus, Subscription
 from schemas.messages import Directive, Event, Lane, Observation, Reply
 from slow_node.config import SlowConfig
 from slow_node.directive import ParseError, Plan, parse_answer, plan_of, unsafe
@@ -126,6 +129,13 @@ def say(text: str | bytes) -> Step:
     return lambda bus: bus.publish_bytes(topics.COMMAND, payload)
 
 
+def look_and_say(text: str) -> Step:
+    def step(bus: LocalBus) -> None:
+        look()(bus)
+        say(text)(bus)
+    return step
+
+
 def obeys(_: str) -> str:
     return FASTER
 
@@ -186,22 +196,22 @@ def test_ramming_is_refused_even_if_the_model_obeys(model: ScriptedModel, bank: 
 
 @pytest.mark.parametrize("model", [obeys], indirect=True)
 def test_overtaking_returns_and_ends_on_our_own_side(model: ScriptedModel, bank: str) -> None:
-    bus_events: list[int] = []
+    ids: list[int] = []
+    readers: list[Subscription[Directive]] = []
 
     def fulfilled(tick: int) -> Step:
         def step(bus: LocalBus) -> None:
             bus.publish(topics.EVENT, Event(epoch=1, stamp_ns=time.monotonic_ns(), kind="fulfilled", node="fast",
-                                            tick=tick, directive_id=bus_events[-1]))
+                                            tick=tick, directive_id=ids[-1]))
         return step
 
     def note(bus: LocalBus) -> None:
-        directives = bus.subscribe(topics.DIRECTIVE)
-        bus_events_reader.append(directives)
-
-    bus_events_reader: list[object] = []
+        readers.append(bus.subscribe(topics.DIRECTIVE))
 
     def read(_: LocalBus) -> None:
-        bus_events.append(bus_events_reader[0].peek().id)  # type: ignore[attr-defined]
+        newest = readers[0].peek()
+        assert newest is not None
+        ids.append(newest.id)
 
     replies, directives = play(
         model.url, bank, note, look(), say("I'm in a hurry"), look(1, lane=0, x=10), read, fulfilled(1),
@@ -260,10 +270,11 @@ def test_the_embedded_model_understands_a_hurry(bank: str) -> None:
             except OSError:
                 time.sleep(0.2)
         replies, directives = play(
-            f"http://127.0.0.1:{port}/v1", bank, look(), say("I'm in a hurry to get to work, I want to drive faster"),
-            wait_s=10.0, budget_s=9.0)
+            f"http://127.0.0.1:{port}/v1", bank, look_and_say("I'm in a hurry to get to work, I want to drive faster"),
+            wait_s=12.0, budget_s=9.0)
     finally:
         server.terminate()
         assert server.wait(10) == 0
     assert replies[-1].outcome == "issued", replies[-1].why
+    assert "from memory" not in replies[-1].why
     assert directives[0].manoeuvre == "overtake"

@@ -67,7 +67,7 @@ def update(
     updates = 0
     for _ in range(config.epochs):
         order = torch.randperm(n, generator=generator)
-        for index in order.split(config.minibatch):
+        for index in torch.split(order, config.minibatch):
             b = {k: v[index] for k, v in batch.items()}
             logits, value = net(b["x"])
             dist = masked_distribution(logits, b["is_open"])
@@ -82,7 +82,7 @@ def update(
             loss_v = ((value - b["value_target"]) ** 2).mean()  # Eq. 16
             loss = loss_pi + config.value_weight * loss_v - config.entropy * dist.entropy().mean()
             optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
+            loss.backward()
             torch.nn.utils.clip_grad_norm_(net.parameters(), config.max_grad_norm)
             optimizer.step()
             policy_loss, value_loss, updates = loss_pi.item(), loss_v.item(), updates + 1

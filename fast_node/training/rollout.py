@@ -5,6 +5,7 @@ Axes: S scenes, V vehicles.
 
 from __future__ import annotations
 
+import importlib.util
 from typing import Any, Protocol
 
 import numba
@@ -20,21 +21,34 @@ DECISION_TICKS = 15
 HORIZON = 45
 """Decisions until an episode is truncated."""
 
-for _f in ("gap_m", "rss_same_direction_m", "rss_opposite_m"):  # the very source that drives, compiled
-    setattr(mask, _f, numba.njit(getattr(measures, _f)))
-for _f in ("allowed_speed", "pass_time_s", "neighbours", "entry", "passing"):
-    setattr(mask, _f, numba.njit(getattr(mask, _f)))
-_close = numba.njit(mask.close_actions)
+
+
+def _compiled_mask() -> Any:
+    """`close_actions` compiled from the very source that drives: a second copy of the module, which stays plain."""
+    spec = importlib.util.spec_from_file_location("fast_node._compiled_mask", mask.__file__)
+    assert spec is not None and spec.loader is not None
+    copy = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(copy)
+    for name in ("gap_m", "rss_same_direction_m", "rss_opposite_m"):
+        setattr(copy, name, numba.njit(getattr(measures, name)))
+    for name in ("allowed_speed", "pass_time_s", "neighbours", "entry", "passing"):
+        setattr(copy, name, numba.njit(getattr(copy, name)))
+    return numba.njit(copy.close_actions)
+
+
+_close = _compiled_mask()
 _wished_lane = numba.njit(coordination.wished_lane)
 
 
-@numba.njit
-def _close_all(rows: Any, lanes: Any, target_speed: Any, target_lane: Any, previous: Any, rule: Any, vehicle: Any) -> None:
+@numba.njit  # type: ignore[untyped-decorator]
+def _close_all(
+    rows: Any, lanes: Any, target_speed: Any, target_lane: Any, previous: Any, rule: Any, vehicle: Any
+) -> None:
     for s in range(rows.shape[0]):
         _close(rows[s], lanes, target_speed[s], target_lane[s], previous[s], rule[s], vehicle[s])
 
 
-@numba.njit
+@numba.njit  # type: ignore[untyped-decorator]
 def _wish_all(rows: Any, home: int, pass_id: Any, out: Any) -> None:
     for s in range(rows.shape[0]):
         out[s] = _wished_lane(rows[s], home, pass_id[s])
@@ -100,7 +114,7 @@ class Scenes:
         return x, self._rule[:, :5] == mask.OPEN
 
     def decide(self, action: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_]]:
-        """One second: the action at its first tick, then held unless the mask closes that. Reward, terminated, truncated.
+        """One second: the action first, then held unless the mask closes that: reward, terminated, truncated.
 
         Reward per decision (paper Eq. 4), scaled to about 1: efficiency -|v - v_des|/4 and, while overtaking, its
         progress; comfort -a^2 and -0.02 for a step or a change; preference +0.3 in the wished lane; safety -10 for a

@@ -42,7 +42,7 @@ def train(
     episode_returns: list[float] = []
     crashes: list[bool] = []
     while done < steps:
-        keep: dict[str, list[np.ndarray]] = {k: [] for k in (  # type: ignore[type-arg]
+        keep: dict[str, list[np.ndarray]] = {k: [] for k in (
             "x", "is_open", "action", "log_prob", "value", "next_value", "reward", "terminated", "ended")}
         for _ in range(ROLLOUT):
             with torch.no_grad():
