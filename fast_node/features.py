@@ -14,7 +14,8 @@ N_ROWS = 15
 FEATURES = ("presence", "is_ego", "dx", "dy", "dvx", "dvy", "oncoming", "closing", "y_des", "v_des", "headway",
             "set_point", "speed", "changing")
 """dx/50, dy/4, dv/5 relative to the ego [m, m/s]; closing: 1/TTC [1/s]; y_des: wished minus own lateral position / 4
-(for others 0: no prediction of their changes); v_des and set_point: minus own speed, / 5; headway [s] / 3; speed / 10."""
+(for others 0: no prediction of their changes); v_des and set_point: minus own speed, / 5;
+headway [s] / 3; speed / 10."""
 LAYOUT_HASH = hashlib.sha256(",".join((str(N_ROWS), *FEATURES)).encode()).hexdigest()[:16]
 
 Array = NDArray[np.float32]

@@ -7,7 +7,7 @@ import numpy as np
 from fast_node.config import FastConfig
 from fast_node.coordination import Coordination, Wish
 from fast_node.features import Array, policy_input
-from fast_node.mask import OPEN, RULES, close_actions
+from fast_node.mask import NOTHING_TO_PASS, OPEN, RULES, close_actions
 from fast_node.policy import Policy
 from schemas.codec import rows_of
 from schemas.messages import POLICY_ACTIONS, Action, Closure, Directive, Event, Lane, MetaAction, Observation
@@ -54,8 +54,11 @@ class FastNode:
             logits = self._logits(observation, rows, wish)
             if not np.isfinite(logits).all():
                 raise FloatingPointError("non-finite logits")
-            meta, source = self._choose(logits, rule, observation.tick)
+            meta, source = self._choose(logits, self._invited(rule, observation, wish), observation.tick)
             why = ""
+            homeward = observation.lanes[observation.target_lane].direction < 0 and wish.lane > observation.target_lane
+            if homeward and rule[MetaAction.RIGHT] == OPEN and meta != MetaAction.RIGHT:
+                meta, source = MetaAction.RIGHT, "coordination"
         except Exception as error:  # whatever the policy does, the car gets an answer
             meta, source, why = fallback(rule, observation), "fallback", f"{type(error).__name__}: {error}"[:120]
             self.counts["fallback"] += 1
@@ -69,6 +72,14 @@ class FastNode:
             source=source,  # type: ignore[arg-type]
             speed_goal_mps=wish.speed_mps, directive_id=directive.id if directive else None,
             budget_ns=round(self._config.budget_ms * 1e6), closed=closed, why=why), events
+
+    @staticmethod
+    def _invited(rule: list[int], observation: Observation, wish: Wish) -> list[int]:
+        """The rules with LEFT closed where it leads into an oncoming lane that nobody wishes to borrow."""
+        left = observation.target_lane - 1
+        if rule[MetaAction.LEFT] == OPEN and observation.lanes[left].direction < 0 and wish.lane > left:
+            return [NOTHING_TO_PASS if a == MetaAction.LEFT else r for a, r in enumerate(rule)]
+        return rule
 
     def _logits(self, observation: Observation, rows: Array, wish: Wish) -> Array:
         one = np.float64

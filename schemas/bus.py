@@ -8,6 +8,7 @@ sockets, so that a tick never passes through the router.
 from __future__ import annotations
 
 import json
+import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -145,6 +146,16 @@ class ZenohBus:
             topic.key, congestion_control=self._drop
         )
         return publisher
+
+    def wait_for_reader(self, topic: Topic[Any], timeout_s: float) -> bool:
+        """Wait until somebody reads a topic, so that its first message is not lost; False if nobody did in time."""
+        publisher = self._publishers.get(topic.key) or self.announce(topic)
+        until = time.monotonic() + timeout_s
+        while not publisher.matching_status.matching:
+            if time.monotonic() > until:
+                return False
+            time.sleep(0.01)
+        return True
 
     def subscribe(self, topic: Topic[M]) -> Subscription[M]:
         return _Decoding(self, topic, self.subscribe_bytes(topic))

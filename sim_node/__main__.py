@@ -22,6 +22,10 @@ BUDGET_NS = 20_000_000
 """An answer later than this after its observation was published counts as missed."""
 KEPT = 9000
 """Round trips in the percentiles: the last ten minutes."""
+READER_S = 3.0
+"""Tick 0 waits this long for somebody to read it; later ticks wait for nobody."""
+SETTLE_S = 0.3
+"""Links to the other peers come up within this time of the first."""
 FAREWELL_S = 0.5
 """The heart beats at 5 Hz: its last beat, with the final figures, has 0.3 s to arrive before the session closes."""
 
@@ -112,6 +116,8 @@ def main() -> None:
         for topic in (OBSERVATION, EVENT, STATUS):
             bus.announce(topic)
         trips = RoundTrips(bus.subscribe(ACTION))
+        if bus.wait_for_reader(OBSERVATION, READER_S):
+            time.sleep(SETTLE_S)
         schedule = Schedule(MonotonicClock(), config.hz)
         loop = Loop(bus, node, trips, schedule)
         ticks = float("inf") if config.duration_s is None else config.duration_s * config.hz

@@ -26,7 +26,8 @@ HORIZON = 45
 def _compiled_mask() -> Any:
     """`close_actions` compiled from the very source that drives: a second copy of the module, which stays plain."""
     spec = importlib.util.spec_from_file_location("fast_node._compiled_mask", mask.__file__)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     copy = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(copy)
     for name in ("gap_m", "rss_same_direction_m", "rss_opposite_m"):
