@@ -112,8 +112,10 @@ class Coordination:
             return [self._event("delayed", current, observation, held)]
         if held is None and self._waiting_since >= 0:
             since, why = self._waiting_since, self._waiting
-            self._waiting_since = -1
-            if meta == side or wish.lane == observation.target_lane:
+            if wish.lane == observation.target_lane:  # no longer asked for
+                self._waiting_since = -1
+            elif meta == side:
+                self._waiting_since = -1
                 return [self._event("overridden", current, observation, why, since=since, detail="and now carried out")]
         return []
 

@@ -60,6 +60,12 @@ def test_an_overtake_held_back_by_oncoming_traffic_is_reported_once_with_its_rul
     assert [(e.kind, e.rule, e.vehicle, e.directive_id) for e in events] == [("delayed", "oncoming traffic", 2, 5)]
 
 
+def test_a_delayed_overtake_is_reported_with_its_duration_when_it_is_carried_out():
+    run = run_episode(1000, load_policy(), overtake_at(3.0), duration_s=35)
+    held = [e for e in run.events if e.kind == "overridden"]
+    assert [(e.rule, e.since_tick, e.duration_s > 1) for e in held[:1]] == [("oncoming traffic", 45, True)]
+
+
 def test_an_overtake_is_fulfilled_once_the_car_is_passed_and_the_ego_is_home(node):
     node.step(observation(0, LEAD), directive(), 0)
     _, events = node.step(observation(1, (1, 480, 4, 4, 0, 0, 5, 2, 1)), directive(), 0)
