@@ -52,13 +52,14 @@ def test_a_passenger_in_a_hurry_is_taken_past_the_slow_car(tmp_path):
 
 
 @pytest.mark.timeout(120)
-def test_killing_the_slow_node_in_mid_thought_costs_no_tick_and_it_comes_back(tmp_path):
+@pytest.mark.parametrize("victim", ["slow_node", "slow_node.embedded"])
+def test_killing_the_slow_side_in_mid_thought_costs_no_tick_and_it_comes_back(tmp_path, victim):
     running = start(tmp_path, "--duration", "20", "--say", "please overtake the car ahead", "--say-at", "6")
-    slow = child_of(running.pid, "slow_node")
+    slow = child_of(running.pid, victim)
     time.sleep(10)
     os.kill(slow, signal.SIGKILL)
     time.sleep(4)
-    assert child_of(running.pid, "slow_node") != slow
+    assert child_of(running.pid, victim) != slow
     out, _ = running.communicate(timeout=90)
     summary = json.loads(out)
     assert summary["restarts"] == 1
