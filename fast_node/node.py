@@ -35,9 +35,20 @@ class FastNode:
         """The action that answers `observation` (compute_ns is left to the shell), and what became of the directive.
 
         The policy decides once per `decision_ticks`, and at once when the wish changes; in between the set-points hold
-        unless the mask closes that.
+        unless the mask closes that. Whatever fails, even the mask, an action comes out: then the ego slows down.
         """
         self.counts["ticks"] += 1
+        try:
+            return self._step(observation, directive, now_ns)
+        except Exception as error:
+            self.counts["fallback"] += 1
+            return Action(
+                epoch=observation.epoch, stamp_ns=now_ns, answers_tick=observation.tick,
+                meta_action=int(MetaAction.SLOW_DOWN if observation.tick % 5 == 0 else MetaAction.CRUISE),
+                source="fallback", budget_ns=round(self._config.budget_ms * 1e6),
+                why=f"{type(error).__name__}: {error}"[:120]), []
+
+    def _step(self, observation: Observation, directive: Directive | None, now_ns: int) -> tuple[Action, list[Event]]:
         rows = rows_of(observation)
         table = rows.tolist()
         rule, vehicle = [0] * 6, [-1] * 6

@@ -55,6 +55,12 @@ def test_a_policy_that_fails_is_answered_for_by_the_fallback(node, monkeypatch):
     assert (action.source, action.meta_action, action.answers_tick) == ("fallback", MetaAction.CRUISE, 0)
 
 
+def test_even_a_failing_mask_leaves_no_observation_unanswered(node, monkeypatch):
+    monkeypatch.setattr("fast_node.node.close_actions", lambda *_: 1 / 0)
+    action, _ = node.step(observation(5), None, 0)
+    assert (action.source, action.meta_action, action.answers_tick) == ("fallback", MetaAction.SLOW_DOWN, 5)
+
+
 def test_an_overtake_held_back_by_oncoming_traffic_is_reported_once_with_its_rule(node):
     events = [e for t in range(5) for e in node.step(observation(t, LEAD, ONCOMING), directive(), 0)[1]]
     assert [(e.kind, e.rule, e.vehicle, e.directive_id) for e in events] == [("delayed", "oncoming traffic", 2, 5)]
