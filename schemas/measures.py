@@ -1,4 +1,4 @@
-"""Gap, time to collision, headway and RSS distances: one definition for the mask, the prompt and the metrics.
+"""Gap, time to collision and RSS distances: one definition for the mask, the prompt and the metrics.
 
 Plain arithmetic on floats: the functions run as they are in the nodes, and compile unchanged with numba for training.
 Speeds are along the lane, in m/s; distances bumper to bumper, in m; accelerations are magnitudes, in m/s2.
@@ -24,13 +24,6 @@ def ttc_s(gap: float, closing_mps: float) -> float:
     if closing_mps <= 0.1:
         return INF
     return gap / closing_mps
-
-
-def time_headway_s(gap: float, speed_mps: float) -> float:
-    """Time the follower needs to cover the gap at its speed; inf when it stands."""
-    if speed_mps <= 0.1:
-        return INF
-    return max(gap, 0.0) / speed_mps
 
 
 def rss_same_direction_m(
