@@ -1,17 +1,33 @@
-"""`fastslow evaluate`: lock-step episodes on seeds that training never saw, with Wilson intervals."""
+"""`fastslow evaluate`: agents on scenarios over seeds that training never saw, many scenes at once, at 15 Hz."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
-from deploy.lockstep import overtake_at, run_episode
+from fast_node.mask import OPEN, lane_table
 from fast_node.policy import SHIPPED, load_policy
+from fast_node.rule import rule_logits
+from fast_node.training.rollout import Driver, Fleet, Task
+from schemas.messages import POLICY_ACTIONS, MetaAction
+from schemas.wish import ANY_LANE
+from sim_node.engine.batched import Batched
+from sim_node.metrics import EpisodeResult, Recorder, summarise
+from sim_node.scenarios import SCENARIOS, Scenario
+from sim_node.scenarios.scenario import draw_wish, streams
 
 FIRST_SEED = 1000
-"""Evaluation seeds start here; training draws its scenes from other generators altogether."""
+"""Evaluation seeds are 1000, 1001, ...; training draws its scenes from generators that are seeded otherwise."""
+SCHEMA = "fastslow.evaluate/1"
+
+Directive = Literal["hurry", "lane", "random"]
+"""What the passenger asks for: full speed in any lane (on two-way: to overtake), full speed in a lane drawn for the
+seed, or any lane and any speed drawn for the seed."""
+Logits = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
 
 def wilson95(successes: int, n: int) -> tuple[float, float]:
@@ -22,25 +38,137 @@ def wilson95(successes: int, n: int) -> tuple[float, float]:
     return max(0.0, centre - half), min(1.0, centre + half)
 
 
-def evaluate(checkpoint: Path | None, episodes: int, duration_s: float) -> dict[str, Any]:
-    """One row for the fast system on two-way: told at 3 s to overtake; success = passed, back in lane, no collision."""
-    policy = load_policy(checkpoint or SHIPPED)
-    runs = [run_episode(FIRST_SEED + i, policy, overtake_at(3.0), duration_s=duration_s) for i in range(episodes)]
-    good = sum(r.passed and not r.collided for r in runs)
-    speeds = np.concatenate([r.speeds for r in runs])
-    accelerations = np.concatenate([r.accelerations for r in runs])
-    done = [r.fulfilled_s for r in runs if r.fulfilled_s is not None]
-    return {
-        "schema": "fastslow.evaluate/1",
-        "rows": [{
-            "agent": "ours", "scenario": "two-way", "speed_set": "paper", "episodes": episodes,
-            "first_seed": FIRST_SEED, "duration_s": duration_s,
-            "success": good / episodes, "success_ci95": wilson95(good, episodes),
-            "collisions": sum(r.collided for r in runs),
-            "fulfilled_median_s": float(np.median(done)) if done else None,
-            "avg_speed": float(speeds.mean()),
-            "accel_std": float(accelerations.std()), "accel_var": float(accelerations.var()),
-            "min_ttc_mean": float(np.mean([r.min_ttc_s for r in runs])),
-            "override_share": sum(r.overridden for r in runs) / len(speeds),
-        }],
-    }
+def task_of(scenario: Scenario) -> Task:
+    """The scenario as the fast system's training and evaluation see it."""
+    ceiling = scenario.ego.speed_ceiling_mps
+    return Task(
+        name=scenario.name, lanes=np.array(lane_table(scenario.lanes_at(0.0))),
+        sight_m=scenario.sight_m, speed_range=0.5 * ceiling, duration_ticks=round(scenario.duration_s * 15),
+        goal=(scenario.success.reach_x_m, scenario.success.reach_lanes, scenario.end_x_m),
+        draw=lambda rng, rows, home: draw_wish(rng, scenario, rows, home))
+
+
+class Unmasked(Driver):
+    """Drives without the mask: every action is open at every tick."""
+
+    def tick(self) -> None:
+        look = self.fleet.look
+
+        def blind() -> None:
+            look()
+            self.fleet.rule[:, :POLICY_ACTIONS] = OPEN
+
+        self.fleet.look = blind  # type: ignore[method-assign]
+        try:
+            super().tick()
+        finally:
+            self.fleet.look = look  # type: ignore[method-assign]
+
+
+def constant(action: MetaAction) -> Logits:
+    """A driver that repeats one action."""
+    row = np.zeros(POLICY_ACTIONS, np.float32)
+    row[action] = 1.0
+    return lambda x: np.broadcast_to(row, (len(x), POLICY_ACTIONS))
+
+
+def uniform(seed: int) -> Logits:
+    """A driver that draws every decision at random."""
+    rng = np.random.default_rng(seed)
+    return lambda x: rng.random((len(x), POLICY_ACTIONS), np.float32)
+
+
+AGENTS: dict[str, str] = {
+    "ours": "the policy behind the mask",
+    "ours-unmasked": "the policy alone",
+    "rule": "a few rules behind the mask",
+    "idm": "highway-env's IDM and MOBIL in the ego's place",
+    "cruise": "never acts", "faster": "always speeds up", "slower": "always slows down",
+    "left": "always wants left", "right": "always wants right",
+    "brake": "stops at once", "random": "draws every decision",
+}
+"""What drives, by name; only `ours` and `rule` are behind the mask."""
+_CONSTANT = {"cruise": MetaAction.CRUISE, "faster": MetaAction.SPEED_UP, "slower": MetaAction.SLOW_DOWN,
+             "left": MetaAction.LEFT, "right": MetaAction.RIGHT}
+
+
+def drive(
+    agent: str, scenario: Scenario, seeds: Sequence[int], *, checkpoint: Path | None = None,
+    directive: str = "hurry",
+) -> list[EpisodeResult]:
+    """One episode per seed, with that seed's traffic and a directive from the start (see `Directive`).
+
+    Raises `ConfigError` for an unusable checkpoint and ValueError for an unknown agent.
+    """
+    if directive not in get_args(Directive):
+        raise ValueError(f"directive {directive!r} is not one of: {', '.join(get_args(Directive))}")
+    if agent not in AGENTS:
+        raise ValueError(f"agent {agent!r} is not one of: {', '.join(AGENTS)}")
+    n = len(seeds)
+    world = Batched(scenario, n, 0, ego="idm" if agent == "idm" else "executor")
+    fleet = Fleet(world, task_of(scenario))
+    for i, seed in enumerate(seeds):
+        traffic, wishes, _ = streams(seed)
+        world.load(i, scenario.spawn(traffic))
+        told = draw_wish(wishes, scenario, world.rows[i], int(world.target_lane[i]), overtake_share=1.0)
+        if directive != "random":
+            told = (ANY_LANE if directive == "hurry" and scenario.wish_lanes else told[0], told[1],
+                    scenario.ego.speed_ceiling_mps, told[3])
+        fleet.told_lane[i], fleet.pass_id[i], fleet.v_des[i], fleet.headway[i] = told
+    if agent.startswith("ours"):
+        logits: Logits = load_policy(checkpoint or SHIPPED).logits
+    elif agent == "rule":
+        logits = rule_logits
+    elif agent == "random":
+        logits = uniform(0)
+    else:
+        logits = constant(_CONSTANT.get(agent, MetaAction.CRUISE))
+    driver = (Driver if agent in ("ours", "rule") else Unmasked)(fleet, logits)
+    recorder = Recorder(scenario, n)
+    active = np.ones(n, np.bool_)
+    for _ in range(round(scenario.duration_s * 15)):
+        if agent == "brake":
+            fleet.look()
+            world.tick(np.full(n, int(MetaAction.EMERGENCY_BRAKE)), fleet.v_des)
+        else:
+            driver.tick()
+        recorder.tick(world.rows, world.accel, world.target_lane, world.previous_lane, world.crashed, active,
+                      fleet.wish, fleet.v_des, driver.overridden)
+        active &= ~fleet.over()
+        if not active.any():
+            break
+    return recorder.results()
+
+
+def evaluate_all(
+    agents: Sequence[str], scenarios: Sequence[str], episodes: int, *, checkpoint: Path | None = None,
+    directive: str = "hurry", progress: Callable[[str], None] = lambda _: None,
+) -> dict[str, Any]:
+    """A row per agent and scenario, over the seeds from `FIRST_SEED`."""
+    rows = []
+    for name in scenarios:
+        if name not in SCENARIOS:
+            raise ValueError(f"scenario {name!r} is not one of: {', '.join(SCENARIOS)}")
+        for agent in agents:
+            progress(f"{agent} on {name}")
+            results = drive(agent, SCENARIOS[name], range(FIRST_SEED, FIRST_SEED + episodes), checkpoint=checkpoint,
+                            directive=directive)
+            good = sum(r.success for r in results)
+            rows.append({
+                "agent": agent, "scenario": name, "speed_set": SCENARIOS[name].speed_set, "first_seed": FIRST_SEED,
+                "success_ci95": wilson95(good, episodes), **summarise(results)})
+    return {"schema": SCHEMA, "directive": directive, "rows": rows}
+
+
+def table(result: dict[str, Any]) -> str:
+    """The rows as plain text, one line each."""
+    lines = [f"{'scenario':<16}{'agent':<14}{'success':>22}{'own':>5}{'hit':>5}{'speed':>7}{'a var':>7}{'min TTC':>9}"
+             f"{'in lane':>9}{'masked':>8}"]
+    for r in result["rows"]:
+        low, high = r["success_ci95"]
+        good = f"{100 * r['success']:.1f} % ({100 * low:.0f}-{100 * high:.0f})"
+        lines.append(
+            f"{r['scenario']:<16}{r['agent']:<14}{good:>22}{r['ego_fault_collisions']:>5}{r['struck_collisions']:>5}"
+            f"{r['avg_speed']:>7.2f}{r['accel_var']:>7.2f}{r['min_ttc_mean']:>9.2f}{100 * r['lane_compliance']:>8.0f}%"
+            f"{100 * r['override_share']:>7.1f}%")
+    return "\n".join(lines)

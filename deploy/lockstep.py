@@ -51,12 +51,14 @@ def overtake_at(at_s: float, ttl_s: float = 120.0) -> Ask:
     return ask
 
 
-def run_episode(seed: int, policy: Policy, ask: Ask, *, duration_s: float = 60.0) -> Episode:
-    """Drive one episode of the two-way scenario; the messages are encoded and decoded as on the real bus."""
+def run_episode(
+    seed: int, policy: Policy, ask: Ask, *, duration_s: float = 60.0, scenario: str = "two-way"
+) -> Episode:
+    """Drive one episode; the messages are encoded and decoded as on the real bus."""
     bus = LocalBus()
     observations, actions = bus.subscribe(topics.OBSERVATION), bus.subscribe(topics.ACTION)
     directives = bus.subscribe(topics.DIRECTIVE)
-    sim, fast = SimNode(SimConfig(seed=seed)), FastNode(FastConfig(), policy)
+    sim, fast = SimNode(SimConfig(scenario=scenario, seed=seed)), FastNode(FastConfig(), policy)
     episode = Episode(seed)
     sim.reset(1)
     bus.publish(topics.OBSERVATION, sim.observation(0))

@@ -6,42 +6,14 @@ The wish is what the policy is conditioned on (lane, speed, headway). It never r
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
-from fast_node.mask import BEHIND_M
+from fast_node.mask import REAR_GAP, RULES
 from schemas.clock import NS
 from schemas.messages import Closure, Directive, Event, MetaAction, Observation
+from schemas.wish import ANY_LANE, Wish, wished_lane
 
-PASS_SIGHT_M = 60.0
-"""A lead farther ahead than this is not overtaken yet."""
-OVERTAKING_MPS = 8.0
 SPEED_TOLERANCE_MPS = 0.5
-
-
-@dataclass(frozen=True)
-class Wish:
-    """What the policy is asked for: lane index, speed [m/s], headway [s]."""
-
-    lane: int
-    speed_mps: float
-    headway_s: float
-
-
-def wished_lane(rows: Any, home: int, pass_id: int) -> int:
-    """The lane to be in while overtaking the car `pass_id` from lane `home`: beside it until it is passed, then home.
-
-    rows: (V, 9) sequence as `ROW_COLUMNS`. Compiles with numba unchanged.
-    """
-    if pass_id < 0:
-        return home
-    for i in range(1, len(rows)):
-        row = rows[i]
-        if int(row[0]) == pass_id:
-            ahead = row[1] + 0.5 * (row[6] + rows[0][6]) + BEHIND_M - rows[0][1]
-            if 0.0 < ahead < PASS_SIGHT_M:
-                return home - 1
-    return home
 
 
 class Coordination:
@@ -78,17 +50,23 @@ class Coordination:
                 now_ns - current.stamp_ns > current.ttl_s * NS):
             return Wish(home, self._cruise_mps, self._headway_s), events
         limit = observation.lanes[home].speed_limit_mps
-        speed = self._cruise_mps if current.target_speed_mps is None else current.target_speed_mps
+        overtakes = current.manoeuvre == "overtake"
+        speed = current.target_speed_mps
+        if speed is None:
+            speed = limit if overtakes else self._cruise_mps
         lane = home
         if current.manoeuvre == "stop":
             speed = 0.0
-        elif current.manoeuvre == "overtake" and observation.lanes[max(home - 1, 0)].direction < 0:
+        elif overtakes and home > 0 and observation.lanes[home - 1].direction < 0:
             asked = home - 1 if current.target_lane is None else current.target_lane
             lane = wished_lane(rows, home, self._pass_id) if asked != home else home
-            speed = OVERTAKING_MPS if current.target_speed_mps is None else current.target_speed_mps
         elif current.target_lane is not None and 0 <= current.target_lane < len(observation.lanes) and (
                 observation.lanes[current.target_lane].direction > 0):
             lane = current.target_lane
+        elif current.target_lane is None and (overtakes or speed > self._cruise_mps):
+            lane = ANY_LANE  # whoever wants to get on does not mind where
+        if self._waiting is not None and self._waiting_since >= 0 and self._waiting.rule == RULES[REAR_GAP]:
+            speed = limit  # the paper's t = 20 s: accelerate first to widen the gap, then change
         speed = min(max(speed, 0.0), limit)
         wish = Wish(lane, speed, current.headway_s or self._headway_s)
         if not self._done and self._fulfilled(current, observation, rows, wish, home):
@@ -105,14 +83,15 @@ class Coordination:
         if current is None or self._done:
             self._waiting_since = -1
             return []
+        there = wish.lane in (ANY_LANE, observation.target_lane)
         side = MetaAction.LEFT if wish.lane < observation.target_lane else MetaAction.RIGHT
-        held = next((c for c in closed if c.action == side), None) if wish.lane != observation.target_lane else None
+        held = None if there else next((c for c in closed if c.action == side), None)
         if held is not None and self._waiting_since < 0:
             self._waiting_since, self._waiting = observation.tick, held
             return [self._event("delayed", current, observation, held)]
         if held is None and self._waiting_since >= 0:
             since, why = self._waiting_since, self._waiting
-            if wish.lane == observation.target_lane:  # no longer asked for
+            if there:  # no longer asked for
                 self._waiting_since = -1
             elif meta == side:
                 self._waiting_since = -1
@@ -135,22 +114,27 @@ class Coordination:
 
     @staticmethod
     def _home(observation: Observation) -> int:
-        """The lane to go on in: the one aimed for, or beside a borrowed oncoming lane the first of our direction."""
-        lane = observation.target_lane
-        while observation.lanes[lane].direction < 0 and lane + 1 < len(observation.lanes):
+        """The lane to go on in: the one aimed for; beside a borrowed oncoming lane the first of our direction, and
+        from a lane that ends the nearest to the left that goes on."""
+        lanes, lane = observation.lanes, observation.target_lane
+        while lanes[lane].direction < 0 and lane + 1 < len(lanes):
             lane += 1
+        furthest = max(b.end_m for b in lanes)
+        while lane > 0 and lanes[lane].end_m < furthest and lanes[lane - 1].direction > 0:
+            lane -= 1
         return lane
 
     def _fulfilled(
         self, directive: Directive, observation: Observation, rows: list[list[float]], wish: Wish, home: int
     ) -> bool:
         settled = observation.previous_lane < 0
-        if directive.manoeuvre == "overtake":
+        if directive.manoeuvre == "overtake" and self._pass_id >= 0:
             passed = wished_lane(rows, home, self._pass_id) == home and not any(
                 int(r[0]) == self._pass_id and r[1] > rows[0][1] for r in rows[1:])
-            return self._pass_id >= 0 and passed and settled and observation.target_lane == home
+            return passed and settled and observation.target_lane == home
         slow_enough = math.isclose(rows[0][3], wish.speed_mps, abs_tol=SPEED_TOLERANCE_MPS)
-        return settled and observation.target_lane == wish.lane and slow_enough
+        borrowed_for_nothing = directive.manoeuvre == "overtake" and observation.lanes[max(home - 1, 0)].direction < 0
+        return settled and wish.lane in (ANY_LANE, observation.target_lane) and slow_enough and not borrowed_for_nothing
 
     def _event(
         self, kind: Any, directive: Directive, observation: Observation, closure: Closure | None = None,

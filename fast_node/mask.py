@@ -13,53 +13,95 @@ import math
 from typing import Any
 
 from schemas.measures import CAR_LENGTH_M, gap_m, rss_opposite_m, rss_same_direction_m
-from schemas.messages import MetaAction
+from schemas.messages import Lane, MetaAction
+from schemas.wish import BEHIND_M
 
-VERSION = "mask/1"
+VERSION = "mask/2"
 
 SLOW_DOWN, CRUISE, SPEED_UP, LEFT, RIGHT, BRAKE = (int(a) for a in MetaAction)
 
 RULES = ("", "no lane there", "one change at a time", "lead too close", "speed above the gap's", "front gap in lane",
          "rear gap in lane", "oncoming traffic", "no gap to return to", "nothing to pass", "finish the pass",
-         "give up the pass", "lane ends")
+         "give up the pass", "lane ends", "give up the change")
 (OPEN, NO_LANE, CHANGING, LEAD, SPEED_FOR_GAP, FRONT_GAP, REAR_GAP, ONCOMING, NO_RETURN, NOTHING_TO_PASS, FINISH,
- GIVE_UP, LANE_ENDS) = range(13)
+ GIVE_UP, LANE_ENDS, GIVE_UP_CHANGE) = range(14)
+
+# Columns of the lane table, see `lane_table`.
+Y, START, END, DIRECTION, WIDTH, LIMIT, CHANGE_FROM, RAMP = range(8)
 
 # Preset `sim`: seconds, m/s2. The ego answers within one tick and brakes at 6; simulated cars brake at 6 at most.
 REACTION_S = 2.0 / 15.0
 EGO_BRAKE = 5.0
 LEAD_BRAKE = 6.0
-FOLLOWER_REACTION_S = 0.5
-FOLLOWER_BRAKE = 3.0
 STANDSTILL_M = 2.5
 FOLLOW_S = 0.7
 FOLLOW_GAIN = 0.5
+CEILING_REACTION_S = 0.3
+CEILING_BRAKE = 4.5
+"""The speed that a gap admits leaves the executor time to brake with this, before RSS would need all it has."""
+FOLLOWER_REACTION_S = 0.3
+FOLLOWER_BRAKE = 6.0
+# What a follower is to be spared where the change can wait: MOBIL's b_safe, with the IDM that simulated cars drive by.
+COURTESY_BRAKE = 2.0
+IDM_GAP_M, IDM_TIME_S, IDM_ACCEL, IDM_BRAKE = 5.0, 1.5, 3.0, 5.0
+CUT_IN_MPS = 0.4
+CUT_IN_S = 1.0
+"""A car moving sideways at least this fast counts as being where it will be after this time, too."""
 SIDE_M = 0.3
 """Cars closer than this to overlapping laterally count as in each other's way."""
 PASS_ACCEL = 0.7
 PASS_FASTER_MPS = 3.0
-"""What the ego is sure to manage while passing: this acceleration, up to this much faster than the lead."""
+PASS_FASTER_MAX_MPS = 8.0
+PASS_SPEED_SHARE = 0.75
+"""What the ego is sure to manage while passing: this acceleration, up to this much faster than the lead, or to this
+share of what the limit leaves."""
 RETURN_S = 2.5
 """To be back in its own lane after the way is clear."""
-BEHIND_M = 4.0
-"""Room between the passed car and the ego when it returns."""
 LEAVE_S = 6.0
 """An oncoming car this close in time ends a stay in its lane as soon as there is room at home."""
-SIGHT_M = 190.0
-"""Beyond this an oncoming car may exist unseen."""
-UNSEEN_ONCOMING_MPS = 8.0
+MUST_M = 30.0
+"""With this much more, oncoming traffic is near enough that followers at home are spared nothing but a collision."""
+UNSEEN_M = 40.0
+"""Room to return before a car this near to the end of sight is not known."""
+SIGHT_MARGIN_M = 10.0
+"""An oncoming car, as fast as its limit, may exist unseen from this much before the end of sight."""
+CHANGE_S = 2.0
+"""A change off a lane that ends must begin this long before, and `END_M`."""
+END_M = 10.0
+
+
+def lane_table(lanes: tuple[Lane, ...]) -> list[tuple[float, ...]]:
+    """(L, 8): y, start, end, direction, width, limit, change_from, is a ramp (0 or 1); as the mask reads them."""
+    return [(b.y_m, b.start_m, b.end_m, float(b.direction), b.width_m, b.speed_limit_mps, b.change_from_m,
+             float(b.kind == "ramp")) for b in lanes]
 
 
 def allowed_speed(gap: float, lead_mps: float) -> float:
-    """Highest speed set-point that a gap admits: that of the lead at the following distance, rising with spare room."""
-    return max(0.0, lead_mps + FOLLOW_GAIN * (gap - STANDSTILL_M - FOLLOW_S * lead_mps))
+    """Highest speed set-point that a gap admits: rising from the lead's at the following distance with spare room,
+    and never more than what RSS lets the ego brake from."""
+    follow = lead_mps + FOLLOW_GAIN * (gap - STANDSTILL_M - FOLLOW_S * lead_mps)
+    lag = CEILING_REACTION_S * CEILING_BRAKE
+    room = max(gap - 2.0, 0.0)
+    stop = math.sqrt(lag * lag + 2.0 * CEILING_BRAKE * room + CEILING_BRAKE / LEAD_BRAKE * lead_mps * lead_mps) - lag
+    return max(0.0, min(follow, stop))
 
 
-def pass_time_s(distance: float, faster_mps: float) -> float:
+def follower_gap(behind_mps: float, ego_mps: float, must: bool) -> float:
+    """Gap that a car behind needs when the ego comes in before it: to be able to stop (RSS), and, unless the ego
+    `must` leave its lane, not to have to brake harder than `COURTESY_BRAKE` as an IDM driver."""
+    need = rss_same_direction_m(behind_mps, ego_mps, FOLLOWER_REACTION_S, 1.0, FOLLOWER_BRAKE, EGO_BRAKE)
+    if not must:
+        closing = behind_mps - ego_mps
+        wanted = IDM_GAP_M + behind_mps * IDM_TIME_S + behind_mps * closing / (2.0 * math.sqrt(IDM_ACCEL * IDM_BRAKE))
+        need = max(need, wanted * math.sqrt(IDM_ACCEL / COURTESY_BRAKE))
+    return max(need, STANDSTILL_M + 1.0)
+
+
+def pass_time_s(distance: float, faster_mps: float, top_mps: float) -> float:
     """Time to gain `distance` [m] on a car, being `faster_mps` faster now and accelerating as the preset promises."""
     if distance <= 0.0:
         return 0.0
-    top = max(PASS_FASTER_MPS, faster_mps)
+    top = max(top_mps, faster_mps)
     ramp_s = (top - faster_mps) / PASS_ACCEL
     ramp_m = faster_mps * ramp_s + 0.5 * PASS_ACCEL * ramp_s * ramp_s
     if ramp_m <= distance:
@@ -67,31 +109,49 @@ def pass_time_s(distance: float, faster_mps: float) -> float:
     return (math.sqrt(faster_mps * faster_mps + 2.0 * PASS_ACCEL * distance) - faster_mps) / PASS_ACCEL
 
 
-def neighbours(rows: Any, lane: int) -> tuple[int, int, int]:
-    """Row indices of the nearest car ahead, car behind, and oncoming car ahead in a lane; -1 where there is none."""
+def survey(rows: Any, lanes: Any, near: Any) -> None:
+    """Fill near[3 * lane + (0, 1, 2)] with the row of the nearest car ahead, behind, and oncoming ahead; -1: none.
+
+    A car that moves sideways is in the lane it comes to as well.
+    """
+    n_lanes = len(lanes)
+    for k in range(3 * n_lanes):
+        near[k] = -1
     x = rows[0][1]
-    ahead, behind, oncoming = -1, -1, -1
     for i in range(1, len(rows)):
         row = rows[i]
-        if row[0] < 0 or int(row[8]) != lane:
+        if row[0] < 0:
             continue
-        if row[3] < -0.1:
-            if row[1] + CAR_LENGTH_M > x and (oncoming < 0 or row[1] < rows[oncoming][1]):
-                oncoming = i
-        elif row[1] >= x:
-            if ahead < 0 or row[1] < rows[ahead][1]:
-                ahead = i
-        elif behind < 0 or row[1] > rows[behind][1]:
-            behind = i
-    return ahead, behind, oncoming
+        lane = int(row[8])
+        other = lane
+        if row[4] > CUT_IN_MPS:
+            other = lane + 1
+        elif row[4] < -CUT_IN_MPS:
+            other = lane - 1
+        if other != lane and (other < 0 or other >= n_lanes or row[1] < lanes[other][1]
+                              or abs(row[2] + CUT_IN_S * row[4] - lanes[other][0]) > 0.5 * lanes[other][4]):
+            other = lane
+        while True:
+            k = 3 * lane
+            if row[3] < -0.1:
+                if row[1] + CAR_LENGTH_M > x and (near[k + 2] < 0 or row[1] < rows[near[k + 2]][1]):
+                    near[k + 2] = i
+            elif row[1] >= x:
+                if near[k] < 0 or row[1] < rows[near[k]][1]:
+                    near[k] = i
+            elif near[k + 1] < 0 or row[1] > rows[near[k + 1]][1]:
+                near[k + 1] = i
+            if lane == other:
+                break
+            lane = other
 
 
-def entry(rows: Any, lanes: Any, lane: int) -> tuple[int, int]:
-    """Whether the ego may enter a lane of its own direction now: (rule, row index), rule `OPEN` when it may."""
+def entry(rows: Any, lanes: Any, near: Any, lane: int, aim: int) -> tuple[int, int]:
+    """Whether the ego may enter lane `aim` of its own direction from `lane` now: (rule, row index), `OPEN` if so."""
     x, v, length = rows[0][1], rows[0][3], rows[0][6]
-    if x > lanes[lane][2] - 2.0 * v - 10.0 or x < lanes[lane][1]:
+    if (x > lanes[aim][2] - CHANGE_S * v - END_M or x < lanes[aim][1] or x < lanes[lane][6] or lanes[aim][7] > 0.0):
         return NO_LANE, -1
-    ahead, behind, oncoming = neighbours(rows, lane)
+    ahead, behind, oncoming = near[3 * aim], near[3 * aim + 1], near[3 * aim + 2]
     if ahead >= 0:
         gap = gap_m(x, rows[ahead][1], length, rows[ahead][6])
         need = rss_same_direction_m(v, max(rows[ahead][3], 0.0), REACTION_S, 1.0, EGO_BRAKE, LEAD_BRAKE)
@@ -99,60 +159,74 @@ def entry(rows: Any, lanes: Any, lane: int) -> tuple[int, int]:
             return FRONT_GAP, ahead
     if behind >= 0:
         gap = gap_m(rows[behind][1], x, rows[behind][6], length)
-        need = rss_same_direction_m(rows[behind][3], v, FOLLOWER_REACTION_S, 1.0, FOLLOWER_BRAKE, EGO_BRAKE)
-        if gap < max(need, STANDSTILL_M):
+        must = lanes[lane][2] < lanes[aim][2]
+        if lanes[lane][3] < 0:
+            facing = near[3 * lane + 2]
+            must = facing >= 0 and rows[facing][1] - x < LEAVE_S * (v - rows[facing][3]) + MUST_M
+        if gap < follower_gap(rows[behind][3], v, must):
             return REAR_GAP, behind
     if oncoming >= 0:  # a car passing head-on in our own lane
         return ONCOMING, oncoming
     return OPEN, -1
 
 
-def passing(rows: Any, home: int, away: int) -> tuple[int, int]:
-    """Whether the ego can still pass its lead in lane `home` through the oncoming lane `away`: (rule, row index)."""
-    x, v, length = rows[0][1], rows[0][3], rows[0][6]
-    lead = -1
-    after = -1
-    for i in range(1, len(rows)):  # a car counts as passed once there is room to return before it
+def ahead_of(rows: Any, lane: int, x: float) -> int:
+    """Row of the first car of our direction in `lane` beyond `x` [m]; -1 where there is none."""
+    found = -1
+    for i in range(1, len(rows)):
         row = rows[i]
-        if row[0] < 0 or int(row[8]) != home or row[3] < -0.1:
-            continue
-        if row[1] + 0.5 * (row[6] + length) + BEHIND_M > x:
-            if lead < 0 or row[1] < rows[lead][1]:
-                after = lead
-                lead = i
-            elif after < 0 or row[1] < rows[after][1]:
-                after = i
+        if row[0] >= 0 and int(row[8]) == lane and row[3] >= -0.1 and row[1] > x and (
+                found < 0 or row[1] < rows[found][1]):
+            found = i
+    return found
+
+
+def passing(rows: Any, lanes: Any, near: Any, home: int, away: int, sight: float) -> tuple[int, int]:
+    """Whether the ego can still pass what is ahead in lane `home` through the oncoming lane `away`: (rule, row index).
+
+    Cars too close to each other to return between them are passed together.
+    """
+    x, v, length = rows[0][1], rows[0][3], rows[0][6]
+    lead = ahead_of(rows, home, x - 0.5 * (CAR_LENGTH_M + length) - BEHIND_M)  # passed once there is room to return
     if lead < 0:
         return NOTHING_TO_PASS, -1
-    lead_v = max(rows[lead][3], 0.0)
-    if after >= 0:
+    while True:
+        lead_v = max(rows[lead][3], 0.0)
+        faster = min(max(PASS_FASTER_MPS, PASS_SPEED_SHARE * (lanes[home][5] - lead_v)), PASS_FASTER_MAX_MPS)
+        after = ahead_of(rows, home, rows[lead][1])
+        if after < 0:
+            break
         room = gap_m(rows[lead][1], rows[after][1], rows[lead][6], rows[after][6])
-        fast = lead_v + PASS_FASTER_MPS
-        need = rss_same_direction_m(fast, max(rows[after][3], 0.0), REACTION_S, 1.0, EGO_BRAKE, LEAD_BRAKE)
-        if room < length + BEHIND_M + need + 4.0:
-            return NO_RETURN, after
+        need = rss_same_direction_m(
+            lead_v + faster, max(rows[after][3], 0.0), REACTION_S, 1.0, EGO_BRAKE, LEAD_BRAKE)
+        if room >= length + BEHIND_M + need + 4.0:
+            break
+        lead = after
+    if rows[lead][1] - x > sight - UNSEEN_M:  # who knows what is ahead of it
+        return NO_RETURN, lead
     to_gain = rows[lead][1] - x + 0.5 * (rows[lead][6] + length) + BEHIND_M
-    time = pass_time_s(to_gain, v - lead_v) + RETURN_S
+    time = pass_time_s(to_gain, v - lead_v, faster) + RETURN_S
     driven = to_gain + lead_v * time
-    _, _, oncoming = neighbours(rows, away)
+    oncoming = near[3 * away + 2]
     if oncoming >= 0:
         gap = gap_m(x, rows[oncoming][1], length, rows[oncoming][6])
         other = -rows[oncoming][3]
     else:
-        gap = SIGHT_M
-        other = UNSEEN_ONCOMING_MPS
+        gap = sight - SIGHT_MARGIN_M
+        other = lanes[away][5]
     if gap < driven + other * time + 5.0:
         return ONCOMING, oncoming
     return OPEN, -1
 
 
 def close_actions(
-    rows: Any, lanes: Any, target_speed: float, target_lane: int, previous_lane: int, rule: Any, vehicle: Any
+    rows: Any, lanes: Any, target_speed: float, target_lane: int, previous_lane: int, sight: float, near: Any,
+    rule: Any, vehicle: Any
 ) -> int:
     """Write the rule that closes each action (`OPEN`: none) and the vehicle's id; return how many actions are open.
 
-    rows: (V, 9) as `ROW_COLUMNS`, ego first, id < 0 for an absent vehicle; lanes: (L, 6) y, start, end, direction,
-    width, limit; rule, vehicle: (6,) outputs. EMERGENCY_BRAKE is always open.
+    rows: (V, 9) as `ROW_COLUMNS`, ego first, id < 0 for an absent vehicle; lanes: (L, 8) as `lane_table`; sight [m];
+    near: (3 L,) working space; rule, vehicle: (6,) outputs. EMERGENCY_BRAKE is always open.
     """
     ego = rows[0]
     x, y, v, length = ego[1], ego[2], ego[3], ego[6]
@@ -161,6 +235,7 @@ def close_actions(
         vehicle[a] = -1
     n_lanes = len(lanes)
     away = lanes[target_lane][3] < 0
+    survey(rows, lanes, near)
 
     # Lateral: one change at a time; the opposite direction gives a running change up.
     for action in (LEFT, RIGHT):
@@ -170,28 +245,33 @@ def close_actions(
         elif aim < 0 or aim >= n_lanes:
             rule[action] = NO_LANE
         elif lanes[aim][3] > 0:
-            rule[action], vehicle[action] = entry(rows, lanes, aim)
+            rule[action], vehicle[action] = entry(rows, lanes, near, target_lane, aim)
         else:
-            rule[action], vehicle[action] = passing(rows, target_lane, aim)
+            rule[action], vehicle[action] = passing(rows, lanes, near, target_lane, aim, sight)
             if rule[action] == OPEN:
-                ahead, _, _ = neighbours(rows, target_lane)
+                ahead = near[3 * target_lane]
                 gap = gap_m(x, rows[ahead][1], length, rows[ahead][6]) if ahead >= 0 else 100.0
                 if gap < 3.0 + 1.5 * max(0.0, v - rows[ahead][3]):
                     rule[action], vehicle[action] = LEAD, ahead
 
-    # Longitudinal: every car in our way, in the lane we aim for or beside us while we change.
+    # Longitudinal: every car in our way, in the lane we aim for, coming into it, or beside us while we change.
     ceiling = 1e9
     slower = -1
+    lane_y = lanes[target_lane][0]
     for i in range(1, len(rows)):
         row = rows[i]
         if row[0] < 0 or row[1] < x or row[3] < -0.1:
             continue
         overlap = abs(row[2] - y) < 0.5 * (row[7] + ego[7]) + SIDE_M
-        if not overlap and int(row[8]) != target_lane:
-            continue
+        in_lane = int(row[8]) == target_lane
+        if not overlap and not in_lane:
+            coming = row[4] * (lane_y - row[2]) > 0.0 and abs(row[4]) > CUT_IN_MPS
+            if not coming or abs(row[2] + CUT_IN_S * row[4] - lane_y) > 0.5 * (row[7] + ego[7]):
+                continue
+            in_lane = True
         gap = gap_m(x, row[1], length, row[6])
         lead_v = max(row[3], 0.0)
-        leaving = int(row[8]) != target_lane
+        leaving = not in_lane
         if overlap and gap < (0.5 if leaving else 1.0) + rss_same_direction_m(
                 v, lead_v, REACTION_S, 0.0, EGO_BRAKE + 1.0, LEAD_BRAKE):
             for a in range(5):
@@ -202,27 +282,42 @@ def close_actions(
         if limit < ceiling:
             ceiling, slower = limit, i
     end = lanes[target_lane][2] - x
-    at_end = math.sqrt(EGO_BRAKE * max(end - 10.0, 0.0))  # half the braking power stops the ego 10 m before the end
-    if end < 60.0 and at_end < ceiling:
+    at_end = math.sqrt(EGO_BRAKE * max(end - END_M, 0.0))  # half the braking power stops the ego before the end
+    if at_end < ceiling:
         ceiling, slower = at_end, -1
     because = SPEED_FOR_GAP if slower >= 0 else LANE_ENDS
     if rule[CRUISE] == OPEN and target_speed > ceiling + 0.01:
         rule[CRUISE], vehicle[CRUISE] = because, slower
     if rule[SPEED_UP] == OPEN and target_speed + 1.0 > ceiling:
         rule[SPEED_UP], vehicle[SPEED_UP] = because, slower
+    if end < 0.5 * length + 1.5 + v * REACTION_S + v * v / (2.0 * EGO_BRAKE):
+        for a in range(3):
+            if rule[a] == OPEN:
+                rule[a] = LANE_ENDS
+
+    # A change that a car behind has made unsafe is given up while the ego is still more in the lane that it leaves.
+    if previous_lane >= 0 and int(ego[8]) == previous_lane and lanes[target_lane][3] > 0:
+        behind = near[3 * target_lane + 1]
+        back = LEFT if previous_lane < target_lane else RIGHT
+        if behind >= 0 and rule[back] == OPEN:
+            gap = gap_m(rows[behind][1], x, rows[behind][6], length)
+            if gap < rss_same_direction_m(rows[behind][3], v, REACTION_S, 0.0, FOLLOWER_BRAKE, EGO_BRAKE) + 1.0:
+                for a in range(3):
+                    if rule[a] == OPEN:
+                        rule[a], vehicle[a] = GIVE_UP_CHANGE, behind
 
     # In the oncoming lane: finish the pass while that is possible, otherwise drop back behind the lead.
     if away and rule[BRAKE] == OPEN:
         home = target_lane + 1
-        _, _, oncoming = neighbours(rows, target_lane)
-        state, who = passing(rows, home, target_lane)
+        oncoming = near[3 * target_lane + 2]
+        state, who = passing(rows, lanes, near, home, target_lane, sight)
         if oncoming >= 0 or state != NOTHING_TO_PASS:
-            back = rule[RIGHT] == OPEN
+            back_open = rule[RIGHT] == OPEN
             if state in (ONCOMING, NO_RETURN):
-                ahead, _, _ = neighbours(rows, home)
+                ahead = near[3 * home]
                 alongside = ahead >= 0 and x + 0.5 * length > rows[ahead][1]
                 rule_now = FINISH if alongside or rule[RIGHT] == REAR_GAP else GIVE_UP
-                if back:  # behind or ahead of the lead: leave the oncoming lane at once
+                if back_open:  # behind or ahead of the lead: leave the oncoming lane at once
                     for a in (CRUISE, SPEED_UP, SLOW_DOWN):
                         rule[a], vehicle[a] = rule_now, who
                 elif rule_now == GIVE_UP:

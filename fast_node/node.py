@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from fast_node.choice import HELD, SOURCES, choose, invite
 from fast_node.config import FastConfig
-from fast_node.coordination import Coordination, Wish
-from fast_node.features import Array, policy_input
-from fast_node.mask import NOTHING_TO_PASS, OPEN, RULES, close_actions
+from fast_node.coordination import Coordination
+from fast_node.mask import OPEN, RULES, close_actions, lane_table
 from fast_node.policy import Policy
 from schemas.codec import rows_of
-from schemas.messages import POLICY_ACTIONS, Action, Closure, Directive, Event, Lane, MetaAction, Observation
-
-_NEVER = np.float32(-1e9)
-
-
-def lane_table(lanes: tuple[Lane, ...]) -> list[tuple[float, ...]]:
-    """(L, 6): y, start, end, direction, width, limit, as the mask reads them."""
-    return [(b.y_m, b.start_m, b.end_m, float(b.direction), b.width_m, b.speed_limit_mps) for b in lanes]
+from schemas.features import Array, policy_input
+from schemas.messages import POLICY_ACTIONS, Action, Closure, Directive, Event, MetaAction, Observation
+from schemas.wish import ANY_LANE, Wish
 
 
 class FastNode:
@@ -52,8 +49,9 @@ class FastNode:
         rows = rows_of(observation)
         table = rows.tolist()
         rule, vehicle = [0] * 6, [-1] * 6
-        close_actions(table, lane_table(observation.lanes), observation.target_speed_mps, observation.target_lane,
-                      observation.previous_lane, rule, vehicle)
+        lanes = lane_table(observation.lanes)
+        close_actions(table, lanes, observation.target_speed_mps, observation.target_lane, observation.previous_lane,
+                      observation.sight_m, [0] * (3 * len(lanes)), rule, vehicle)
         closed = tuple(Closure(action=a, rule=RULES[rule[a]], vehicle=vehicle[a])
                        for a in range(POLICY_ACTIONS) if rule[a] != OPEN)
         wish, events = self._coordination.wish(observation, table, directive, now_ns)
@@ -65,11 +63,14 @@ class FastNode:
             logits = self._logits(observation, rows, wish)
             if not np.isfinite(logits).all():
                 raise FloatingPointError("non-finite logits")
-            meta, source = self._choose(logits, self._invited(rule, observation, wish), observation.tick)
-            why = ""
-            homeward = observation.lanes[observation.target_lane].direction < 0 and wish.lane > observation.target_lane
-            if homeward and rule[MetaAction.RIGHT] == OPEN and meta != MetaAction.RIGHT:
-                meta, source = MetaAction.RIGHT, "coordination"
+            invited = rule.copy()
+            invite(invited, lanes, observation.target_lane, wish.lane)
+            holding = observation.tick - self._decided_tick < self._config.decision_ticks
+            meta, by = choose(logits, invited, holding, lanes[observation.target_lane][3], observation.target_lane,
+                              wish.lane)
+            if by != HELD:
+                self._decided_tick = observation.tick
+            source, why = SOURCES[by], ""
         except Exception as error:  # whatever the policy does, the car gets an answer
             meta, source, why = fallback(rule, observation), "fallback", f"{type(error).__name__}: {error}"[:120]
             self.counts["fallback"] += 1
@@ -84,32 +85,14 @@ class FastNode:
             speed_goal_mps=wish.speed_mps, directive_id=directive.id if directive else None,
             budget_ns=round(self._config.budget_ms * 1e6), closed=closed, why=why), events
 
-    @staticmethod
-    def _invited(rule: list[int], observation: Observation, wish: Wish) -> list[int]:
-        """The rules with LEFT closed where it leads into an oncoming lane that nobody wishes to borrow."""
-        left = observation.target_lane - 1
-        if rule[MetaAction.LEFT] == OPEN and observation.lanes[left].direction < 0 and wish.lane > left:
-            return [NOTHING_TO_PASS if a == MetaAction.LEFT else r for a, r in enumerate(rule)]
-        return rule
-
     def _logits(self, observation: Observation, rows: Array, wish: Wish) -> Array:
         one = np.float64
         return self._policy.logits(policy_input(
-            rows, one(observation.lanes[wish.lane].y_m), one(wish.speed_mps), one(wish.headway_s),  # type: ignore[arg-type]
-            one(observation.target_speed_mps), one(observation.previous_lane >= 0)))  # type: ignore[arg-type]
-
-    def _choose(self, logits: Array, rule: list[int], tick: int) -> tuple[int, str]:
-        is_open = np.array([r == OPEN for r in rule[:POLICY_ACTIONS]])
-        wanted = int(logits.argmax())
-        # Between decisions hold, but take a lane change that has just become possible.
-        holding = tick - self._decided_tick < self._config.decision_ticks
-        if holding and is_open[MetaAction.CRUISE] and not (wanted >= MetaAction.LEFT and is_open[wanted]):
-            return MetaAction.CRUISE, "policy"
-        if not is_open.any():
-            return MetaAction.EMERGENCY_BRAKE, "masked"
-        self._decided_tick = tick
-        chosen = int(np.where(is_open, logits, _NEVER).argmax())
-        return chosen, "policy" if chosen == wanted else "masked"
+            rows,
+            one(math.nan if wish.lane == ANY_LANE else observation.lanes[wish.lane].y_m),  # type: ignore[arg-type]
+            one(wish.speed_mps), one(wish.headway_s),  # type: ignore[arg-type]
+            one(observation.target_speed_mps), one(observation.previous_lane >= 0),  # type: ignore[arg-type]
+            one(observation.lanes[observation.target_lane].end_m - float(rows[0, 1]))))  # type: ignore[arg-type]
 
 
 def fallback(rule: list[int], observation: Observation) -> int:

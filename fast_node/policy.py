@@ -1,6 +1,6 @@
 """The exported policy: the attention network of the paper in NumPy, from safetensors and a JSON sidecar. No torch.
 
-Axes: N vehicle rows, F features, D model width, H heads.
+Axes: ... any batch axes, N vehicle rows, F features, D model width, H heads.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load_file
 
-from fast_node.features import LAYOUT_HASH
 from fast_node.mask import VERSION as MASK_VERSION
+from schemas.features import LAYOUT_HASH
 from schemas.process import ConfigError
 
 Array = NDArray[np.float32]
-SHIPPED = Path(__file__).parent / "checkpoints" / "two_way.safetensors"
+SHIPPED = Path(__file__).parent / "checkpoints" / "fastslow.safetensors"
 
 
 class Policy:
@@ -30,32 +30,46 @@ class Policy:
         self.heads = int(str(sidecar["heads"]))
 
     def logits(self, x: Array) -> Array:
-        """(N, F) -> (5,) logits."""
-        w = self.weights
-        z = x @ w["embed.weight"].T + w["embed.bias"]  # (N, D), Eq. 10
-        present = x[:, 0] > 0
-        for layer in range(self.layers):
-            z = self._encode(z, present, f"layers.{layer}.")
-        out: Array = z[0] @ w["policy.weight"].T + w["policy.bias"]
-        return out
+        """(..., N, F) -> (..., 5) logits. Only the ego's row is read out, so the last layer computes only that row."""
+        return self._forward(x)[0]
 
-    def _encode(self, z: Array, present: NDArray[np.bool_], p: str) -> Array:
-        """Eq. 11 on a normalised input; the residual term is our departure, for stability."""
+    def attention(self, x: Array) -> Array:
+        """(N, F) -> (H, N): how much the ego attends to each row in the last layer, per head; sums to 1 over N."""
+        return self._forward(x)[1][..., 0, :]
+
+    def _forward(self, x: Array) -> tuple[Array, Array]:
+        w = self.weights
+        z: Array = x @ w["embed.weight"].T + w["embed.bias"]  # (..., N, D), Eq. 10
+        present = x[..., 0] > 0
+        for layer in range(self.layers):
+            z, weights = self._encode(z, present, f"layers.{layer}.", layer == self.layers - 1)
+        out: Array = z[..., 0, :] @ w["policy.weight"].T + w["policy.bias"]
+        return out, weights
+
+    def _encode(self, z: Array, present: NDArray[np.bool_], p: str, ego_only: bool) -> tuple[Array, Array]:
+        """Eq. 11 on a normalised input; the residual term is our departure, for stability. Also the weights."""
         w = self.weights
         mean = z.mean(-1, keepdims=True)
         var = ((z - mean) ** 2).mean(-1, keepdims=True)
         u = (z - mean) / np.sqrt(var + np.float32(1e-5)) * w[p + "norm.weight"] + w[p + "norm.bias"]
-        n, d = u.shape
-        q, k, v = np.split(u @ w[p + "qkv.weight"].T + w[p + "qkv.bias"], 3, axis=-1)
-        q, k, v = (a.reshape(n, self.heads, d // self.heads).transpose(1, 0, 2) for a in (q, k, v))  # (H, N, D/H)
-        scores = q @ k.transpose(0, 2, 1) / np.float32(np.sqrt(d // self.heads))
-        scores = np.where(present, scores, np.float32(-1e9))
+        d = u.shape[-1]
+        asks = slice(0, 1) if ego_only else slice(None)
+        qkv, bias = w[p + "qkv.weight"], w[p + "qkv.bias"]
+        q = self._heads(u[..., asks, :] @ qkv[:d].T + bias[:d])
+        k, v = (self._heads(a) for a in np.split(u @ qkv[d:].T + bias[d:], 2, axis=-1))
+        scores = q @ k.swapaxes(-1, -2) / np.float32(np.sqrt(d // self.heads))
+        scores = np.where(present[..., None, None, :], scores, np.float32(-1e9))
         weights = np.exp(scores - scores.max(-1, keepdims=True))
         weights /= weights.sum(-1, keepdims=True)
-        attended = (weights @ v).transpose(1, 0, 2).reshape(n, d) @ w[p + "out.weight"].T + w[p + "out.bias"]
-        hidden = np.maximum(u @ w[p + "up.weight"].T + w[p + "up.bias"], 0)
-        out: Array = z + attended + hidden @ w[p + "down.weight"].T + w[p + "down.bias"]
-        return out
+        merged = (weights @ v).swapaxes(-2, -3)
+        attended = merged.reshape(*merged.shape[:-2], d) @ w[p + "out.weight"].T + w[p + "out.bias"]
+        hidden = np.maximum(u[..., asks, :] @ w[p + "up.weight"].T + w[p + "up.bias"], 0)
+        out: Array = z[..., asks, :] + attended + hidden @ w[p + "down.weight"].T + w[p + "down.bias"]
+        return out, weights
+
+    def _heads(self, a: Array) -> Array:
+        """(..., N, D) -> (..., H, N, D/H)"""
+        return a.reshape(*a.shape[:-1], self.heads, a.shape[-1] // self.heads).swapaxes(-2, -3)
 
 
 def load_policy(path: Path = SHIPPED) -> Policy:

@@ -88,6 +88,8 @@ class Lane(Struct, frozen=True, kw_only=True):
     width_m: float = 4.0
     speed_limit_mps: float = 20.0
     kind: Literal["main", "ramp", "oncoming"] = "main"
+    change_from_m: float = -1e9
+    """Nobody changes out of this lane before this x: a ramp is beside the road only from here on."""
 
 
 class Observation(Message, frozen=True, kw_only=True, tag="observation"):
@@ -113,6 +115,8 @@ class Observation(Message, frozen=True, kw_only=True, tag="observation"):
     hz: int = 15
     previous_lane: int = -1
     """The lane that the running lane change left; -1 when none is under way."""
+    sight_m: float = 200.0
+    """How far the ego sees: cars beyond may exist and are not in `rows`."""
 
 
 class Closure(Struct, frozen=True, kw_only=True):

@@ -1,13 +1,15 @@
-"""The simulator: the road, the ego's executor, and the process that ticks them at 15 Hz.
+"""The simulator: roads, the ego's executor, and the process that ticks them at 15 Hz.
 
-Importing the package registers the gymnasium environment `FastSlow-two-way-v0`; highway-env is loaded when it is made.
+Importing the package registers the gymnasium environments (`sim_node:FastSlow-highway-v0`, one per scenario);
+highway-env is loaded when one is made.
 """
 
 from __future__ import annotations
 
 import gymnasium
 
-ENV_ID = "FastSlow-two-way-v0"
+from sim_node.scenarios import SCENARIOS
 
-if ENV_ID not in gymnasium.registry:
-    gymnasium.register(id=ENV_ID, entry_point="sim_node.env:TwoWayEnv")
+for _name in SCENARIOS:
+    if (_id := f"FastSlow-{_name}-v0") not in gymnasium.registry:
+        gymnasium.register(id=_id, entry_point="sim_node.env:ScenarioEnv", kwargs={"scenario": _name})

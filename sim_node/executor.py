@@ -92,17 +92,18 @@ def acceleration_command(speed: float, target_speed: float, last_accel: float, m
     return max(accel, -max(speed, 0.0) / dt)
 
 
-def steering_command(x: float, y: float, heading: float, speed: float, y_target: float) -> float:
-    """Front-wheel angle in rad that brings the car to the line y = `y_target` (m) of a straight road along x.
+def steering_command(y: float, heading: float, speed: float, y_target: float, lane_heading: float) -> float:
+    """Front-wheel angle in rad that brings the car to the centre line, at `y_target` (m) and turned by `lane_heading`.
 
     highway-env's cascade (position -> lateral speed -> heading -> heading rate -> angle) with bounded lateral speed
-    and bounded lateral acceleration, so that a change looks the same at 5 and at 25 m/s. `x` is there for curved roads.
+    and bounded lateral acceleration, so that a change looks the same at 5 and at 25 m/s. A slow
+    bend (the ramp) is followed by its heading alone.
     """
     if speed < STEERING_SPEED_MIN_MPS:
         return 0.0
     lateral = LATERAL_GAIN_PER_S * (y_target - y)
     lateral = min(max(lateral, -LATERAL_SPEED_MAX_MPS), LATERAL_SPEED_MAX_MPS)
-    heading_wanted = math.asin(min(max(lateral / speed, -1.0), 1.0))
+    heading_wanted = lane_heading + math.asin(min(max(lateral / speed, -1.0), 1.0))
     heading_wanted = min(max(heading_wanted, -HEADING_MAX_RAD), HEADING_MAX_RAD)
     rate_max = LATERAL_ACCEL_MAX_MPS2 / speed
     rate = min(max(HEADING_GAIN_PER_S * (heading_wanted - heading), -rate_max), rate_max)

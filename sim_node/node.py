@@ -5,16 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from schemas import measures
+import numpy as np
+
 from schemas.messages import Action, Event, MetaAction, Observation
 from sim_node.config import SimConfig
-from sim_node.env import TwoWayEnv
-from sim_node.observe import observe
+from sim_node.env import ScenarioEnv
+from sim_node.metrics import TTC_CAP_S, EpisodeResult, Recorder
+from sim_node.observe import observe, perceived, rows
+from sim_node.scenarios import Scenario
 
 HOLD_TICKS = 2
 """An action may be this many ticks old, and without one the set-points hold for this many ticks."""
 FAILSAFE_BRAKE_MPS2 = 2.5
-TTC_CAP_S = 100.0
+_YES = np.ones(1, np.bool_)
 
 
 @dataclass
@@ -30,8 +33,12 @@ class Metrics:
     """Ticks without an action that braked."""
     episodes: int = 0
     collisions: int = 0
+    struck: int = 0
+    """Collisions that were the other car's fault."""
     passed: int = 0
     """Episodes in which the ego passed the first lead and came back to its lane."""
+    reached: int = 0
+    """Episodes in which the ego reached the place that the scenario names."""
     min_ttc_s: float = TTC_CAP_S
     """Smallest time to collision with a car ahead in the ego's lane or its target lane."""
 
@@ -41,16 +48,27 @@ class SimNode:
 
     def __init__(self, config: SimConfig) -> None:
         self._config = config
-        self._env = TwoWayEnv({"simulation_frequency": config.hz, "policy_frequency": config.hz})
+        self._env = ScenarioEnv(config.scenario, hz=config.hz, decision_hz=config.hz, duration_s=None)
+        self._env.tick(int(MetaAction.CRUISE))  # compiles or loads the engine: the first real tick is on time
         self._events: list[Event] = []
         self.metrics = Metrics()
+        self._recorder = Recorder(self._env.scenario, 1, config.hz)
         self.epoch = 0
         self.tick = 0
         self.over = ""
         """Why the episode has ended; empty while it runs."""
         self._applied_tick = -1
         self._unanswered = 0
-        self._has_passed = False
+
+    @property
+    def scenario(self) -> Scenario:
+        """What is driven."""
+        return self._env.scenario
+
+    @property
+    def episode(self) -> EpisodeResult:
+        """The numbers of the running episode so far."""
+        return self._recorder.results()[0]
 
     @property
     def speed_mps(self) -> float:
@@ -60,16 +78,16 @@ class SimNode:
     @property
     def lane(self) -> int:
         """The lane the ego's centre is in."""
-        return self._env.lane_at(float(self._env.ego.position[1]))
+        return int(self._rows[0, 8])
 
     def reset(self, epoch: int) -> None:
         """Begin the next episode as world `epoch`, at tick 0, with the next seed."""
         self._env.reset(seed=self._config.seed + self.metrics.episodes)
         self.metrics.episodes += 1
         self.epoch, self.tick, self.over = epoch, 0, ""
-        self._applied_tick, self._unanswered, self._has_passed = -1, 0, False
-        lead = [v for v in self._env.road.vehicles if v.number == 1]
-        self._first_lead = lead[0]
+        self._applied_tick, self._unanswered = -1, 0
+        self._recorder.restart(_YES)
+        self._rows = rows(self._env)
 
     def step(self, action: Action | None, now_ns: int) -> Observation:
         """Advance one tick and observe."""
@@ -106,14 +124,18 @@ class SimNode:
                 self.metrics.failsafes += 1
                 # The executor brakes with its gain times this difference: a gentle, jerk-bounded stop in lane.
                 ego.target_speed = max(0.0, float(ego.speed) - FAILSAFE_BRAKE_MPS2)
-        self._env.step(int(meta))
+        self._env.tick(int(meta))
         self.tick += 1
+        self._rows = rows(self._env)
         self._measure()
 
     def observation(self, now_ns: int) -> Observation:
         """What the ego sees at the current tick."""
+        c, table = self._config, self._rows
+        if c.noise_m or c.noise_mps or c.dropout:
+            table = perceived(table, self._env.perception, c.noise_m, c.noise_mps, c.dropout)
         return observe(
-            self._env, epoch=self.epoch, tick=self.tick, applied_tick=self._applied_tick, now_ns=now_ns
+            self._env, table, epoch=self.epoch, tick=self.tick, applied_tick=self._applied_tick, now_ns=now_ns
         )
 
     def take_events(self) -> list[Event]:
@@ -130,22 +152,19 @@ class SimNode:
         )
 
     def _measure(self) -> None:
-        env, ego = self._env, self._env.ego
-        lanes = {self.lane, ego.target_lane}
-        for v in env.road.vehicles:
-            if v is not ego and v.position[0] > ego.position[0] and env.lane_at(float(v.position[1])) in lanes:
-                gap = measures.gap_m(float(ego.position[0]), float(v.position[0]), ego.LENGTH, v.LENGTH)
-                # Side by side in neighbouring lanes during a change is no collision; a crash counts as 0 below.
-                if gap > 0.0:
-                    ttc = measures.ttc_s(gap, float(ego.velocity[0] - v.velocity[0]))
-                    self.metrics.min_ttc_s = min(self.metrics.min_ttc_s, ttc)
-        ahead = ego.position[0] > self._first_lead.position[0] + measures.CAR_LENGTH_M
-        if ahead and not self._has_passed and ego.previous_lane < 0 and ego.target_lane == env.scenario.ego_lane:
-            self._has_passed = True
-            self.metrics.passed += 1
+        env, ego, m = self._env, self._env.ego, self.metrics
+        before = bool(self._recorder.passed[0])
+        self._recorder.tick(
+            self._rows[None], np.array([ego.acceleration]), np.array([ego.target_lane]),
+            np.array([ego.previous_lane]), np.array([bool(ego.crashed)]), _YES)
+        m.passed += bool(self._recorder.passed[0]) and not before
+        m.min_ttc_s = min(m.min_ttc_s, float(self._recorder.min_ttc[0]))
         if ego.crashed:
             self.over = "collision"
-            self.metrics.collisions += 1
-            self.metrics.min_ttc_s = 0.0
-        elif ego.position[0] > env.scenario.goal_x_m:
+            m.collisions += 1
+            m.struck += bool(self._recorder.struck[0])
+        elif env.reached():
+            self.over = "goal reached"
+            m.reached += 1
+        elif ego.position[0] > env.scenario.end_x_m:
             self.over = "road end"

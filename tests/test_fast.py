@@ -11,7 +11,8 @@ from fast_node.node import FastNode
 from fast_node.policy import load_policy
 from schemas.messages import Directive, Lane, MetaAction, Observation
 
-LANES = (Lane(y_m=0, start_m=0, end_m=3000, direction=-1, kind="oncoming"), Lane(y_m=4, start_m=0, end_m=3000))
+LANES = (Lane(y_m=0, start_m=0, end_m=3000, direction=-1, kind="oncoming", speed_limit_mps=8.0),
+         Lane(y_m=4, start_m=0, end_m=3000, speed_limit_mps=8.0))
 
 
 def observation(tick: int, *cars: tuple[float, ...], speed: float = 5.0, **fields: object) -> Observation:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from fast_node.features import FEATURES, policy_input
 from fast_node.policy import load_policy
 from fast_node.training.learner import advantages, masked_distribution
 from fast_node.training.network import ActorCritic
 from fast_node.training.train import export
+from schemas.features import FEATURES, policy_input
 from schemas.process import ConfigError
 
 
@@ -72,9 +72,16 @@ def test_a_missing_or_corrupt_policy_is_refused_in_one_line(tmp_path):
 def test_the_wish_and_the_neighbours_stand_where_the_layout_says():
     rows = np.zeros((2, 9), np.float32)
     rows[0, 1:4], rows[1, :4] = (100, 4, 5), (1, 125, 0, -5)
-    x = policy_input(rows, *map(np.float64, (0.0, 8.0, 1.5, 6.0, 0.0)))
+    x = policy_input(rows, *map(np.float64, (0.0, 8.0, 1.5, 6.0, 0.0, 150.0)))
     own, other = dict(zip(FEATURES, x[0], strict=True)), dict(zip(FEATURES, x[1], strict=True))
     assert (own["y_des"], round(float(own["v_des"]), 3), own["headway"], round(float(own["set_point"]), 3)) == (
         -1.0, 0.6, 0.5, 0.2)
     assert (other["dx"], other["dy"], other["oncoming"], other["is_ego"]) == (0.5, -1.0, 1.0, 0.0)
+    assert (own["y_wished"], own["road_left"]) == (1.0, 1.5)
     assert not x[2:].any()
+
+
+def test_without_a_wished_lane_the_lateral_wish_is_zero_and_says_so():
+    rows = np.zeros((1, 9), np.float32)
+    x = policy_input(rows, *map(np.float64, (np.nan, 8.0, 1.5, 6.0, 0.0, 150.0)))
+    assert [x[0, FEATURES.index(name)] for name in ("y_des", "y_wished")] == [0.0, 0.0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from fast_node.features import FEATURES
+from schemas.features import FEATURES
 from schemas.messages import POLICY_ACTIONS
 
 
@@ -21,13 +21,19 @@ class Encoder(nn.Module):
         self.up = nn.Linear(width, 2 * width)
         self.down = nn.Linear(2 * width, width)
 
-    def forward(self, z: Tensor, present: Tensor) -> Tensor:
+    def forward(self, z: Tensor, present: Tensor, ego_only: bool = False) -> Tensor:
+        """(B, N, D) -> (B, N, D), or (B, 1, D) where only the ego asks: exact, for nothing else is read out."""
         b, n, d = z.shape
         u = self.norm(z)
-        q, k, v = (a.view(b, n, self.heads, d // self.heads).transpose(1, 2) for a in self.qkv(u).chunk(3, -1))
+        asks = u[:, :1] if ego_only else u
+        m = asks.shape[1]
+        weight, bias = self.qkv.weight, self.qkv.bias
+        q = nn.functional.linear(asks, weight[:d], bias[:d]).view(b, m, self.heads, d // self.heads).transpose(1, 2)
+        k, v = (a.view(b, n, self.heads, d // self.heads).transpose(1, 2)
+                for a in nn.functional.linear(u, weight[d:], bias[d:]).chunk(2, -1))
         attended = nn.functional.scaled_dot_product_attention(q, k, v, attn_mask=present[:, None, None, :])
         return torch.as_tensor(
-            z + self.out(attended.transpose(1, 2).reshape(b, n, d)) + self.down(torch.relu(self.up(u))))
+            z[:, :m] + self.out(attended.transpose(1, 2).reshape(b, m, d)) + self.down(torch.relu(self.up(asks))))
 
 
 class ActorCritic(nn.Module):
@@ -44,6 +50,6 @@ class ActorCritic(nn.Module):
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         z, present = self.embed(x), x[..., 0] > 0
-        for layer in self.layers:
-            z = layer(z, present)
+        for i, layer in enumerate(self.layers):
+            z = layer(z, present, ego_only=i == len(self.layers) - 1)
         return self.policy(z[:, 0]), self.value(z[:, 0]).squeeze(-1)

@@ -1,155 +1,277 @@
-"""Decisions of one second in many scenes at once, behind the mask: the world comes in as an object, never an import.
+"""Many scenes of one scenario behind the mask, compiled: for learning and for evaluating. The world comes in as an
+object, never an import.
 
-Axes: S scenes, V vehicles.
+Axes: S scenes, V vehicles, L lanes.
 """
 
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from fast_node import coordination, mask
-from fast_node.features import Array, policy_input
-from schemas import measures
-from schemas.messages import MetaAction
+from fast_node import choice, mask
+from fast_node.choice import HELD, MASKED
+from schemas import measures, wish
+from schemas.features import Array, policy_input
+from schemas.messages import POLICY_ACTIONS, MetaAction
+from schemas.reward import reward
+from schemas.wish import ANY_LANE
 
 DECISION_TICKS = 15
-HORIZON = 45
-"""Decisions until an episode is truncated."""
+TTC_CAP_S = 100.0
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 
-
-def _compiled_mask() -> Any:
-    """`close_actions` compiled from the very source that drives: a second copy of the module, which stays plain."""
-    spec = importlib.util.spec_from_file_location("fast_node._compiled_mask", mask.__file__)
+def _copy_of(module: Any) -> Any:
+    """A second copy of a module, to put compiled functions into: the real one stays plain Python."""
+    spec = importlib.util.spec_from_file_location(f"fast_node._compiled_{module.__name__.split('.')[-1]}",
+                                                  module.__file__)
     assert spec is not None
     assert spec.loader is not None
     copy = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(copy)
+    return copy
+
+
+def _compiled_mask() -> Any:
+    """`close_actions` compiled from the very source that drives."""
+    copy = _copy_of(mask)
     for name in ("gap_m", "rss_same_direction_m", "rss_opposite_m"):
         setattr(copy, name, numba.njit(getattr(measures, name)))
-    for name in ("allowed_speed", "pass_time_s", "neighbours", "entry", "passing"):
+    for name in ("allowed_speed", "follower_gap", "pass_time_s", "survey", "entry", "ahead_of", "passing"):
         setattr(copy, name, numba.njit(getattr(copy, name)))
     return numba.njit(copy.close_actions)
 
 
 _close = _compiled_mask()
-_wished_lane = numba.njit(coordination.wished_lane)
+_wished_lane = numba.njit(wish.wished_lane)
+_choose = numba.njit(_copy_of(choice).choose)
+_invite = numba.njit(_copy_of(choice).invite)
 
 
 @numba.njit  # type: ignore[untyped-decorator]
-def _close_all(
-    rows: Any, lanes: Any, target_speed: Any, target_lane: Any, previous: Any, rule: Any, vehicle: Any
+def _look_all(
+    rows: Any, lanes: Any, target_speed: Any, target_lane: Any, previous: Any, sight: float, told_lane: Any,
+    pass_id: Any, near: Any, rule: Any, vehicle: Any, wish_lane: Any, ttc: Any,
 ) -> None:
     for s in range(rows.shape[0]):
-        _close(rows[s], lanes, target_speed[s], target_lane[s], previous[s], rule[s], vehicle[s])
+        _close(rows[s], lanes[s], target_speed[s], target_lane[s], previous[s], sight, near[s], rule[s], vehicle[s])
+        wish_lane[s] = told_lane[s] if pass_id[s] < 0 else _wished_lane(rows[s], told_lane[s], pass_id[s])
+        _invite(rule[s], lanes[s], target_lane[s], wish_lane[s])
+        ttc[s] = TTC_CAP_S
+        ego = rows[s, 0]
+        for lane in (int(ego[8]), target_lane[s]):
+            for k in (0, 2):
+                i = near[s, 3 * lane + k]
+                if i >= 0:
+                    gap = rows[s, i, 1] - ego[1] - 0.5 * (rows[s, i, 6] + ego[6])
+                    closing = ego[3] - rows[s, i, 3]
+                    if gap > 0.0 and closing > 0.1:
+                        ttc[s] = min(ttc[s], gap / closing)
 
 
 @numba.njit  # type: ignore[untyped-decorator]
-def _wish_all(rows: Any, home: int, pass_id: Any, out: Any) -> None:
-    for s in range(rows.shape[0]):
-        out[s] = _wished_lane(rows[s], home, pass_id[s])
+def _choose_all(
+    logits: Any, rule: Any, age: Any, lanes: Any, target_lane: Any, wish_lane: Any, meta: Any, by: Any
+) -> None:
+    for s in range(len(meta)):
+        meta[s], by[s] = _choose(logits[s], rule[s], age[s] < DECISION_TICKS, lanes[s, target_lane[s], 3],
+                                 target_lane[s], wish_lane[s])
 
 
 class World(Protocol):
     """A batched simulator (see `sim_node.engine.batched`): arrays over S scenes, and a 15 Hz tick."""
 
     rows: Array
-    target_speed: NDArray[np.float64]
-    target_lane: NDArray[np.int64]
-    previous_lane: NDArray[np.int64]
-    accel: NDArray[np.float64]
-    crashed: NDArray[np.bool_]
+    lane_y: Floats
+    target_speed: Floats
+    target_lane: Ints
+    previous_lane: Ints
+    accel: Floats
+    crashed: Bools
 
-    def tick(self, meta: NDArray[np.int64], speed_goal: NDArray[np.float64]) -> None: ...
+    def tick(self, meta: Ints, speed_goal: Floats) -> None: ...
 
-    def reset(self, which: NDArray[np.bool_]) -> None: ...
+    def reset(self, mask: Bools) -> None: ...
 
 
-class Scenes:
-    """Two-way scenes with randomised directives, stepped one decision at a time."""
+@dataclass(frozen=True)
+class Task:
+    """What the simulator's side of a scenario looks like from here; `deploy` fills it in."""
 
-    def __init__(self, world: World, lanes: NDArray[np.float64], seed: int, home: int = 1) -> None:
-        self.world, self.lanes, self.home = world, lanes, home
+    name: str
+    lanes: Floats
+    """(L, 8) as `mask.lane_table`, at x = 0."""
+    sight_m: float
+    speed_range: float
+    duration_ticks: int
+    goal: tuple[float, tuple[int, ...], float]
+    """An episode is over beyond x = goal[0] in one of the lanes goal[1], and anywhere beyond goal[2]."""
+    draw: Callable[[np.random.Generator, Array, int], tuple[int, int, float, float]]
+    """A random directive for rows (V, 9) and a home lane: lane, id of the car to pass or -1, speed, headway."""
+
+
+class Fleet:
+    """S scenes of one task: what each ego sees, is asked for and may do now."""
+
+    def __init__(self, world: World, task: Task) -> None:
+        self.world, self.task = world, task
+        s, n = len(world.rows), len(task.lanes)
+        self.lanes = np.repeat(task.lanes[None], s, axis=0)
+        self.rule, self.vehicle = np.zeros((s, 6), np.int64), np.zeros((s, 6), np.int64)
+        self._near = np.zeros((s, 3 * n), np.int64)
+        self.told_lane, self.pass_id = np.full(s, ANY_LANE), np.full(s, -1)
+        self.v_des, self.headway = np.zeros(s), np.full(s, 1.5)
+        self.wish = np.full(s, ANY_LANE)
+        self.ttc_s = np.full(s, TTC_CAP_S)
+
+    def look(self) -> None:
+        """Mask, wishes and time to collision of the present state."""
+        w = self.world
+        self.lanes[:, :, 0] = w.lane_y
+        _look_all(w.rows, self.lanes, w.target_speed, w.target_lane, w.previous_lane, self.task.sight_m,
+                  self.told_lane, self.pass_id, self._near, self.rule, self.vehicle, self.wish, self.ttc_s)
+
+    def observe(self) -> Array:
+        """Policy input (S, N, F)."""
+        w, each = self.world, np.arange(len(self.wish))
+        y_des = np.where(self.wish == ANY_LANE, np.nan, self.lanes[each, np.maximum(self.wish, 0), 0])
+        road_left = self.lanes[each, w.target_lane, 2] - w.rows[:, 0, 1]
+        return policy_input(w.rows, y_des, self.v_des, self.headway, w.target_speed,
+                            (w.previous_lane >= 0).astype(np.float64), road_left)
+
+    def over(self) -> Bools:
+        """Where the ego has crashed, reached its goal or come to the road's end."""
+        ego = self.world.rows[:, 0]
+        x, lanes, end = self.task.goal
+        reached = (ego[:, 1] > x) & np.isin(ego[:, 8], lanes)
+        return np.asarray(self.world.crashed | reached | (ego[:, 1] > end))
+
+
+class Scenes(Fleet):
+    """A fleet with random directives, stepped one decision at a time: what the learner learns in."""
+
+    def __init__(self, world: World, task: Task, seed: int) -> None:
+        super().__init__(world, task)
         self._rng = np.random.default_rng(seed)
         s = len(world.rows)
-        self._rule = np.zeros((s, 6), np.int64)
-        self._vehicle = np.zeros((s, 6), np.int64)
-        self.pass_id = np.full(s, -1, np.int64)
-        self.v_des, self.headway = np.zeros(s), np.zeros(s)
-        self.wish = np.zeros(s, np.int64)
         self.age = np.zeros(s, np.int64)
         self.returns = np.zeros(s)
         self.reset(np.ones(s, np.bool_))
 
-    def reset(self, which: NDArray[np.bool_]) -> None:
+    def reset(self, which: Bools) -> None:
         """New scenes where told; a directive is drawn for each, and again now and then during the episode."""
         self.world.reset(which)
         self.age[which], self.returns[which] = 0, 0.0
         self._direct(which)
-        self._look()
+        self.look()
 
-    def _direct(self, which: NDArray[np.bool_]) -> None:
+    def _direct(self, which: Bools) -> None:
         for s in np.flatnonzero(which):
-            rows = self.world.rows[s]
-            ahead = [r for r in rows[1:] if r[0] > 0 and int(r[8]) == self.home and r[3] > -0.1 and r[1] > rows[0, 1]]
-            overtake = ahead and self._rng.random() < 0.65
-            self.pass_id[s] = int(min(ahead, key=lambda r: float(r[1]))[0]) if overtake else -1
-            self.v_des[s] = 8.0 if overtake else float(self._rng.integers(0 if self._rng.random() < 0.1 else 3, 9))
-            self.headway[s] = self._rng.uniform(1.0, 2.5)
+            self.told_lane[s], self.pass_id[s], self.v_des[s], self.headway[s] = self.task.draw(
+                self._rng, self.world.rows[s], int(self.world.target_lane[s]))
 
-    def _look(self) -> None:
-        w = self.world
-        _close_all(w.rows, self.lanes, w.target_speed, w.target_lane, w.previous_lane, self._rule, self._vehicle)
-        _wish_all(w.rows, self.home, self.pass_id, self.wish)
+    def open(self) -> Bools:
+        """(S, 5) the actions that the mask leaves open."""
+        return np.asarray(self.rule[:, :POLICY_ACTIONS] == mask.OPEN)
 
-    def observe(self) -> tuple[Array, NDArray[np.bool_]]:
-        """Policy input (S, N, F) and the open actions (S, 5)."""
-        w = self.world
-        x = policy_input(w.rows, self.lanes[self.wish, 0], self.v_des, self.headway, w.target_speed,
-                         (w.previous_lane >= 0).astype(np.float64))
-        return x, self._rule[:, :5] == mask.OPEN
-
-    def decide(self, action: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_]]:
-        """One second: the action first, then held unless the mask closes that: reward, terminated, truncated.
-
-        Reward per decision (paper Eq. 4), scaled to about 1: efficiency -|v - v_des|/4 and, while overtaking, its
-        progress; comfort -a^2 and -0.02 for a step or a change; preference +0.3 in the wished lane; safety -10 for a
-        crash, -0.3 for an emergency brake.
-        """
+    def decide(self, action: Ints) -> tuple[NDArray[np.float32], Bools, Bools]:
+        """One second: the action first, then held unless the mask closes that: reward, terminated, truncated."""
         w = self.world
         s = len(action)
-        braked, effort = np.zeros(s), np.zeros(s)
+        each = np.arange(s)
+        braked, effort, ttc = np.zeros(s, np.bool_), np.zeros(s), np.full(s, TTC_CAP_S)
         start_x = w.rows[:, 0, 1].copy()
         for k in range(DECISION_TICKS):
-            is_open = self._rule == mask.OPEN
+            is_open = self.rule == mask.OPEN
             meta = action if k == 0 else np.full(s, MetaAction.CRUISE)
-            fine = is_open[np.arange(s), meta]
-            for a in (MetaAction.EMERGENCY_BRAKE, MetaAction.RIGHT, MetaAction.SPEED_UP, MetaAction.SLOW_DOWN):
+            fine = is_open[each, meta]
+            for a in (MetaAction.EMERGENCY_BRAKE, MetaAction.RIGHT, MetaAction.LEFT, MetaAction.SPEED_UP,
+                      MetaAction.SLOW_DOWN):
                 if not fine.all():
                     meta = np.where(~fine & is_open[:, a], int(a), meta)
-            braked += meta == MetaAction.EMERGENCY_BRAKE
+            braked |= meta == MetaAction.EMERGENCY_BRAKE
             w.tick(meta.astype(np.int64), self.v_des)
             effort += w.accel**2
-            self._look()
+            self.look()
+            ttc = np.minimum(ttc, self.ttc_s)
         self.age += 1
-        v = (w.rows[:, 0, 1] - start_x).astype(np.float64)
-        lane_kept = w.target_lane == self.wish
-        reward = (
-            0.6 - np.abs(v - self.v_des) / 4.0 * np.where(v > self.v_des, 1.5, 1.0)
-            + 0.3 * lane_kept - 0.05 * effort / DECISION_TICKS - 0.02 * (action != MetaAction.CRUISE)
-            - 0.3 * (braked > 0) - 10.0 * w.crashed
-        )
+        speed = (w.rows[:, 0, 1] - start_x).astype(np.float64)
+        earned = reward(
+            speed, self.v_des, self.task.speed_range, effort / DECISION_TICKS, action != MetaAction.CRUISE,
+            (self.wish == ANY_LANE) | (w.target_lane == self.wish), ttc, braked, w.crashed)
+        over = self.over()
         terminated = w.crashed.copy()
-        truncated = (self.age >= HORIZON) & ~terminated
+        # The goal and the road's end cut an episode off: what would come after is worth what the value says.
+        truncated = ((self.age * DECISION_TICKS >= self.task.duration_ticks) | over) & ~terminated
         again = (self._rng.random(s) < 0.03) & ~terminated & ~truncated
         if again.any():
             self._direct(again)
-            self._look()
-        reward = (0.1 * reward).astype(np.float32)
-        self.returns += reward
-        return reward, terminated, truncated
+            self.look()
+        self.returns += earned
+        return earned, terminated, truncated
+
+
+class Mixed:
+    """Several `Scenes`, one after the other along the first axis: one policy for all of them."""
+
+    def __init__(self, parts: list[Scenes]) -> None:
+        self.parts = parts
+        self._cuts = np.cumsum([len(p.wish) for p in parts])[:-1]
+
+    def _split(self, a: NDArray[Any]) -> list[NDArray[Any]]:
+        return list(np.split(a, self._cuts))
+
+    def observe(self) -> tuple[Array, Bools]:
+        """Policy input (S, N, F) and the open actions (S, 5)."""
+        return (np.concatenate([p.observe() for p in self.parts]), np.concatenate([p.open() for p in self.parts]))
+
+    def decide(self, action: Ints) -> tuple[NDArray[np.float32], Bools, Bools]:
+        """See `Scenes.decide`."""
+        results = [p.decide(a) for p, a in zip(self.parts, self._split(action), strict=True)]
+        earned, terminated, truncated = (np.concatenate(column) for column in zip(*results, strict=True))
+        return earned, terminated, truncated
+
+    def reset(self, which: Bools) -> None:
+        """See `Scenes.reset`."""
+        for part, some in zip(self.parts, self._split(which), strict=True):
+            if some.any():
+                part.reset(some)
+
+    @property
+    def returns(self) -> Floats:
+        """(S,) rewards of the running episodes so far."""
+        return np.concatenate([p.returns for p in self.parts])
+
+
+class Driver:
+    """Drives a fleet at 15 Hz exactly as the fast node does: the same mask, wishes, features and choice."""
+
+    def __init__(self, fleet: Fleet, logits: Callable[[Array], Array]) -> None:
+        self.fleet, self._logits = fleet, logits
+        s = len(fleet.wish)
+        self._age = np.full(s, 10**6)
+        self._last_wish = np.full(s, -2)
+        self.meta, self._by = np.zeros(s, np.int64), np.zeros(s, np.int64)
+        self.overridden = np.zeros(s, np.bool_)
+
+    def tick(self) -> None:
+        """Look, choose, and advance every scene by one tick."""
+        f, w = self.fleet, self.fleet.world
+        f.look()
+        self._age[f.wish != self._last_wish] = 10**6
+        self._last_wish[:] = f.wish
+        _choose_all(self._logits(f.observe()), f.rule, self._age, f.lanes, w.target_lane, f.wish, self.meta, self._by)
+        self._age[self._by != HELD] = 0
+        self._age += 1
+        self.overridden = self._by == MASKED
+        w.tick(self.meta, f.v_des)

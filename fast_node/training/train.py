@@ -1,4 +1,4 @@
-"""`fastslow train`: learn the two-way policy and export it as safetensors with a JSON sidecar."""
+"""`fastslow train`: learn one policy for several scenarios, export it as safetensors with a JSON sidecar."""
 
 from __future__ import annotations
 
@@ -10,38 +10,41 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from safetensors.torch import save_file
 
-from fast_node.features import FEATURES, LAYOUT_HASH
 from fast_node.mask import VERSION as MASK_VERSION
 from fast_node.policy import load_policy
 from fast_node.training.learner import LearnerConfig, advantages, masked_distribution, update
 from fast_node.training.network import ActorCritic
-from fast_node.training.rollout import Scenes, World
+from fast_node.training.rollout import Mixed
+from schemas.features import FEATURES, LAYOUT_HASH, N_ROWS
 
 WIDTH, HEADS, LAYERS = 128, 2, 1
 ROLLOUT = 16
 
 
 def train(
-    world: World, lanes: NDArray[np.float64], out: Path, *, steps: int, seed: int,
-    progress: Callable[[int, dict[str, float]], None],
+    scenes: Mixed, out: Path, *, steps: int, seed: int, progress: Callable[[int, dict[str, float]], None],
+    config: LearnerConfig | None = None,
 ) -> dict[str, float]:
-    """Train for `steps` decisions and export to `out` (.safetensors). Returns the last figures."""
+    """Train for `steps` decisions and export to `out` (.safetensors). Returns the last figures.
+
+    The learning rate falls linearly to a tenth: the policy that is exported is the last one.
+    """
     torch.manual_seed(seed)
     torch.set_num_threads(1)
     generator = torch.Generator().manual_seed(seed)
-    config = LearnerConfig()
+    config = config or LearnerConfig()
     net = ActorCritic(WIDTH, HEADS, LAYERS)
     optimizer = torch.optim.Adam(net.parameters(), lr=config.lr, eps=1e-5)
-    scenes = Scenes(world, lanes, seed)
     x, is_open = scenes.observe()
     s = len(x)
     done, figures, started = 0, {}, time.perf_counter()
     episode_returns: list[float] = []
     crashes: list[bool] = []
     while done < steps:
+        for group in optimizer.param_groups:
+            group["lr"] = config.lr * max(0.1, 1.0 - done / steps)
         keep: dict[str, list[np.ndarray]] = {k: [] for k in (
             "x", "is_open", "action", "log_prob", "value", "next_value", "reward", "terminated", "ended")}
         for _ in range(ROLLOUT):
@@ -77,7 +80,8 @@ def train(
         figures["crash_rate"] = float(np.mean(crashes[-200:])) if crashes else float("nan")
         figures["SPS"] = done / (time.perf_counter() - started)
         progress(done, figures)
-    export(net, out, {"steps": done, "seed": seed, "learner": asdict(config), "scenarios": ["two-way"],
+    export(net, out, {"steps": done, "seed": seed, "learner": asdict(config),
+                      "scenarios": [part.task.name for part in scenes.parts],
                       "metrics": {k: round(v, 4) for k, v in figures.items() if k != "SPS"}})
     return figures
 
@@ -90,8 +94,8 @@ def export(net: ActorCritic, out: Path, sidecar: dict[str, object], observations
         "layout_hash": LAYOUT_HASH, "features": FEATURES, "mask": MASK_VERSION, "layers": LAYERS, "heads": HEADS,
         "width": WIDTH, **sidecar}, indent=1) + "\n")
     policy = load_policy(out)
-    x = np.random.default_rng(0).normal(size=(observations, 15, len(FEATURES))).astype(np.float32)
-    x[:, :, 0] = np.random.default_rng(1).random((observations, 15)) < 0.7
+    x = np.random.default_rng(0).normal(size=(observations, N_ROWS, len(FEATURES))).astype(np.float32)
+    x[:, :, 0] = np.random.default_rng(1).random((observations, N_ROWS)) < 0.7
     x[:, 0, 0] = 1.0
     with torch.no_grad():
         expected = net(torch.from_numpy(x))[0].numpy()

@@ -1,0 +1,178 @@
+"""Between highway-env's objects and the kernel's arrays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from highway_env.road.road import Road
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import MDPVehicle
+from highway_env.vehicle.objects import Obstacle
+from numpy.typing import NDArray
+
+from sim_node.engine import kernel, tables
+from sim_node.engine.kernel import Ego, Scratch, View
+from sim_node.engine.tables import UnsupportedError
+from sim_node.traffic import TrafficVehicle
+
+KINDS: dict[type, int] = {
+    IDMVehicle: kernel.IDM, TrafficVehicle: kernel.TRAFFIC, MDPVehicle: kernel.MDP, Obstacle: kernel.OBSTACLE,
+}
+"""The classes that the kernel knows, exactly: a subclass may behave otherwise. `sim_node.env` adds its ego."""
+
+CONSTANTS: dict[str, float] = {
+    "ACC_MAX": kernel.ACC_MAX, "COMFORT_ACC_MAX": kernel.COMFORT_ACC_MAX, "COMFORT_ACC_MIN": kernel.COMFORT_ACC_MIN,
+    "DISTANCE_WANTED": kernel.DISTANCE_WANTED, "TIME_WANTED": kernel.TIME_WANTED, "POLITENESS": 0.0,
+    "LANE_CHANGE_MIN_ACC_GAIN": kernel.LANE_CHANGE_MIN_ACC_GAIN,
+    "LANE_CHANGE_MAX_BRAKING_IMPOSED": kernel.LANE_CHANGE_MAX_BRAKING_IMPOSED,
+    "LANE_CHANGE_DELAY": kernel.LANE_CHANGE_DELAY, "MAX_SPEED": kernel.MAX_SPEED, "MIN_SPEED": kernel.MIN_SPEED,
+    "KP_A": kernel.KP_A, "KP_HEADING": kernel.KP_HEADING, "KP_LATERAL": kernel.KP_LATERAL,
+    "TAU_PURSUIT": kernel.TAU_PURSUIT, "MAX_STEERING_ANGLE": kernel.MAX_STEERING_ANGLE, "WIDTH": 2.0,
+}
+"""What is compiled in; a vehicle that has another value, of its own or of its class, is upstream's."""
+
+NO_VIEW = View(np.zeros((0, 0, 9), np.float32), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0, np.int64), 0.0,
+               0.0)
+"""Publishes nothing."""
+
+
+def new_ego(scenes: int, speeds: NDArray[np.float64], freezes: bool = False, pieces: NDArray[np.float64] | None = None,
+            lanes_n: int = 0, floor: float = 0.0, ceiling: float = 0.0) -> Ego:
+    """Egos at rest; see `Ego` for the fields."""
+    return Ego(
+        meta=np.zeros(scenes, np.int64), speed_goal=np.full(scenes, np.nan), target_speed=np.zeros(scenes),
+        target_lane=np.zeros(scenes, np.int64), previous_lane=np.full(scenes, -1, np.int64), accel=np.zeros(scenes),
+        crashed=np.zeros(scenes, np.bool_), ticks=np.zeros(scenes, np.int64), speeds=speeds,
+        pieces=np.zeros((1, 7)) if pieces is None else pieces, lanes_n=lanes_n, floor=floor, ceiling=ceiling,
+        freezes=freezes)
+
+
+class Bridge:
+    """One road of highway-env as arrays, S = 1: `read`, let the kernel advance `f`, `g` and `ego`, `write`."""
+
+    f: NDArray[np.float64]
+    g: NDArray[np.int64]
+    ego: Ego
+    scratch: Scratch
+    kinds: list[int]
+
+    def __init__(self) -> None:
+        self._network: Any = None
+        self._connected = False
+        self._everything: list[Any] = []
+
+    def read(self, road: Road) -> None:
+        """Take the state of every vehicle and object. Raises UnsupportedError for what the kernel does not know.
+
+        Controls are not read: whoever drives sets them anew at every tick, and whoever has crashed has none.
+        """
+        cars = road.vehicles
+        everything = cars + road.objects
+        if not self._knows(road) or everything != self._everything:
+            self._meet(road, everything)
+        if road.record_history:
+            raise UnsupportedError("recorded trajectories (show_trajectories)")
+        if any(getattr(v, "route", None) for v in cars):
+            raise UnsupportedError("planned routes")
+        n = len(everything)
+        floats, ints, number = self.f[0], self.g[0], self.tables.number
+        floats[kernel.X : kernel.Y + 1] = np.concatenate([v.position for v in everything]).reshape(n, 2).T
+        floats[kernel.ANGLE] = [v.heading for v in everything]
+        floats[kernel.SPEED] = [v.speed for v in everything]
+        floats[kernel.TARGET_SPEED] = [getattr(v, "target_speed", 0.0) for v in everything]
+        floats[kernel.DELTA] = [getattr(v, "DELTA", 1.0) for v in everything]
+        floats[kernel.TIMER] = [getattr(v, "timer", 0.0) for v in everything]
+        ints[kernel.LANE] = [number[v.lane_index] for v in everything]
+        ints[kernel.TARGET_LANE] = [number[getattr(v, "target_lane_index", v.lane_index)] for v in everything]
+        ints[kernel.CRASHED] = [v.crashed for v in everything]
+        ints[kernel.CHANGES] = [getattr(v, "enable_lane_change", False) for v in everything]
+        ints[kernel.CHECKS] = [v.check_collisions for v in everything]
+        ints[kernel.PUSHED] = 0
+        for i, v in enumerate(cars):
+            if v.impact is not None:
+                floats[kernel.PUSH_X : kernel.PUSH_Y + 1, i] = v.impact
+                ints[kernel.PUSHED, i] = 1
+        first, ego = cars[0], self.ego
+        if self.kinds[0] == kernel.EXECUTOR:
+            ints[kernel.TARGET_LANE, 0] = 0  # its lanes are the scenario's
+            ego.meta[0], ego.speed_goal[0], ego.accel[0] = first.meta, first.speed_goal, first.acceleration
+            ego.target_lane[0], ego.previous_lane[0] = first.target_lane, first.previous_lane
+        elif self.kinds[0] == kernel.MDP:
+            ints[kernel.SPEED_INDEX, 0] = first.speed_index
+            ego.speeds[:] = first.target_speeds
+        self.ego.target_speed[0] = first.target_speed
+        self._before = ints[_MARKS].copy()
+
+    def write(self, road: Road) -> None:
+        """Give the vehicles and objects the state that `read` took and the kernel advanced."""
+        rows, ints = self.f[0].tolist(), self.g[0]
+        for v, kind, x, y, heading, speed, timer, steering, accel in zip(
+            road.vehicles, self.kinds, rows[kernel.X], rows[kernel.Y], rows[kernel.ANGLE], rows[kernel.SPEED],
+            rows[kernel.TIMER], rows[kernel.STEERING], rows[kernel.ACCEL], strict=False,
+        ):
+            position = v.position
+            position[0] = x
+            position[1] = y
+            v.heading = heading
+            v.speed = speed
+            v.action = {"steering": steering, "acceleration": accel}
+            if kind <= kernel.TRAFFIC:
+                v.timer = timer
+        indices, lanes, cars = self.tables.indices, self.tables.lanes, len(road.vehicles)
+        for i in np.flatnonzero((ints[_MARKS] != self._before).any(axis=0) | (ints[kernel.PUSHED] != 0)):
+            v = self._everything[i]
+            v.crashed = bool(ints[kernel.CRASHED, i])
+            if i >= cars:
+                continue
+            k = ints[kernel.LANE, i]
+            v.lane_index, v.lane = indices[k], lanes[k]
+            push = self.f[0, kernel.PUSH_X : kernel.PUSH_Y + 1, i].copy()
+            v.impact = push if ints[kernel.PUSHED, i] else None
+            if self.kinds[i] != kernel.EXECUTOR:
+                v.target_lane_index = indices[ints[kernel.TARGET_LANE, i]]
+        first = road.vehicles[0]
+        if self.kinds[0] == kernel.EXECUTOR:
+            first.previous_lane, first.acceleration = int(self.ego.previous_lane[0]), float(self.ego.accel[0])
+        elif self.kinds[0] == kernel.MDP:
+            first.speed_index, first.target_speed = int(ints[kernel.SPEED_INDEX, 0]), rows[kernel.TARGET_SPEED][0]
+
+    def _knows(self, road: Road) -> bool:
+        return self._network is road.network and self._connected == road.neighbour_vehicles_connected_lanes
+
+    def _meet(self, road: Road, everything: list[Any]) -> None:
+        """What stays as it is while the same vehicles are on the same road."""
+        self._everything = []
+        if not self._knows(road):
+            self.tables = tables.read(road.network, road.neighbour_vehicles_connected_lanes)
+            self._network, self._connected = road.network, road.neighbour_vehicles_connected_lanes
+        cars, n = len(road.vehicles), len(everything)
+        if not cars:
+            raise UnsupportedError("an empty road")
+        kinds = [KINDS.get(type(v), -1) for v in everything]
+        for i, (v, kind) in enumerate(zip(everything, kinds, strict=True)):
+            if kind < 0 or (kind == kernel.OBSTACLE) != (i >= cars):
+                raise UnsupportedError(f"{type(v).__name__} here")
+            if kind == kernel.EXECUTOR and i > 0:
+                raise UnsupportedError("an executor's car that is not the first vehicle")
+            if not (v.solid and v.collidable):
+                raise UnsupportedError("things that one can drive through")
+            for name, value in CONSTANTS.items():
+                if getattr(v, name, value) != value:
+                    raise UnsupportedError(f"{type(v).__name__} with another {name}")
+        self.f, self.g = np.zeros((1, kernel.FLOATS, n)), np.zeros((1, kernel.INTS, n), np.int64)
+        self.f[0, kernel.CAR_LENGTH], self.f[0, kernel.CAR_WIDTH] = [v.LENGTH for v in everything], 2.0
+        self.g[0, kernel.KIND] = kinds
+        self.scratch = kernel.new_scratch(n, len(self.tables.lanes))
+        first = everything[0]
+        if kinds[0] == kernel.EXECUTOR:
+            bounds = first.scenario.ego
+            self.ego = new_ego(1, _NO_SPEEDS, False, first.pieces, len(first.scenario.lanes), bounds.speed_floor_mps,
+                               bounds.speed_ceiling_mps)
+        else:
+            self.ego = new_ego(1, first.target_speeds.astype(np.float64) if kinds[0] == kernel.MDP else _NO_SPEEDS)
+        self.kinds, self._everything = kinds, everything
+
+
+_NO_SPEEDS = np.array([0.0, 1.0])
+_MARKS = [kernel.LANE, kernel.TARGET_LANE, kernel.CRASHED, kernel.PUSHED]

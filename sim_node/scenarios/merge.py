@@ -1,0 +1,89 @@
+"""Right on-ramp onto a two-lane highway: the paper's scenario (b), from the ramp, and a variant from the highway."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from sim_node.scenarios.scenario import EgoPlan, Flow, LanePlan, Piece, Range, Scenario, Success
+
+AMPLITUDE_M = 3.25
+"""The ramp swings in by twice this, as in highway-env's merge."""
+
+
+def lanes(before_m: float, converge_m: float, parallel_m: float, after_m: float,
+          limit_mps: float) -> tuple[LanePlan, ...]:
+    """Two through lanes and a ramp: straight, a half sine, then beside the highway until it ends."""
+    opens, ends = before_m + converge_m, before_m + converge_m + parallel_m
+    through = tuple(
+        LanePlan(speed_limit_mps=limit_mps, pieces=(
+            Piece(edge=("a", "b"), start_m=0.0, end_m=opens, y_m=y),
+            Piece(edge=("b", "c"), start_m=opens, end_m=ends, y_m=y),
+            Piece(edge=("c", "d"), start_m=ends, end_m=ends + after_m, y_m=y),
+        )) for y in (0.0, 4.0))
+    ramp = LanePlan(speed_limit_mps=limit_mps, kind="ramp", change_from_m=opens, pieces=(
+        Piece(edge=("j", "k"), start_m=0.0, end_m=before_m, y_m=8.0 + 2 * AMPLITUDE_M),
+        Piece(edge=("k", "b"), start_m=before_m, end_m=opens, y_m=8.0 + AMPLITUDE_M, amplitude_m=AMPLITUDE_M,
+              pulsation=math.pi / converge_m, phase=math.pi / 2),
+        Piece(edge=("b", "c"), start_m=opens, end_m=ends, y_m=8.0),
+    ))
+    return (*through, ramp)
+
+
+def through_traffic(lane: int, speed_mps: Range, target_mps: Range) -> Flow:
+    """2 to 4 cars on one lane of the highway."""
+    return Flow(lane=lane, count=(2, 4), start="at", first_m=(0.0, 25.0), gap_m=(8.0, 8.0), gap_s=(1.2, 3.0),
+                speed_mps=speed_mps, target_mps=target_mps)
+
+
+MERGE = Scenario(
+    name="merge",
+    description="from an on-ramp that ends onto a two-lane highway",
+    lanes=lanes(150.0, 80.0, 120.0, 400.0, 20.0),
+    ego=EgoPlan(lanes=(2,), x_m=(20.0, 60.0), speed_mps=(14.0, 17.0), speed_ceiling_mps=20.0),
+    flows=(
+        Flow(lane=2, count=(1, 1), start="ahead", first_m=(30.0, 50.0), gap_m=(0.0, 0.0), speed_mps=(13.5, 17.5),
+             target_mps=(14.0, 18.0), probability=0.5),
+        through_traffic(0, (13.5, 17.5), (14.0, 18.0)),
+        through_traffic(1, (13.5, 17.5), (14.0, 18.0)),
+    ),
+    success=Success(reach_x_m=410.0, reach_lanes=(0, 1)),
+    end_x_m=700.0,
+    wish_lanes=(0, 1),
+    obstacles=((2, 350.0),),
+    connected_lanes=True,
+)
+
+NATURAL = replace(
+    MERGE,
+    name="merge-natural",
+    speed_set="natural",
+    lanes=lanes(200.0, 120.0, 220.0, 600.0, 30.0),
+    ego=EgoPlan(lanes=(2,), x_m=(20.0, 60.0), speed_mps=(18.0, 22.0), speed_ceiling_mps=30.0),
+    flows=(
+        Flow(lane=2, count=(1, 1), start="ahead", first_m=(40.0, 70.0), gap_m=(0.0, 0.0), speed_mps=(18.0, 22.0),
+             target_mps=(20.0, 25.0), probability=0.5),
+        through_traffic(0, (21.0, 28.0), (21.0, 28.0)),
+        through_traffic(1, (21.0, 28.0), (21.0, 28.0)),
+    ),
+    success=Success(reach_x_m=600.0, reach_lanes=(0, 1)),
+    end_x_m=1050.0,
+    obstacles=((2, 540.0),),
+)
+
+MAIN = replace(
+    MERGE,
+    name="merge-main",
+    description="on the highway beside an on-ramp whose cars must come in, behind a slow car",
+    ego=EgoPlan(lanes=(0, 1), x_m=(60.0, 80.0), speed_mps=(15.0, 17.0), speed_ceiling_mps=20.0),
+    flows=(
+        Flow(lane="ego", count=(1, 1), start="ahead", first_m=(25.0, 40.0), gap_m=(0.0, 0.0), speed_mps=(11.0, 13.0)),
+        Flow(lane="ego", count=(1, 2), start="behind", first_m=(25.0, 35.0), gap_m=(20.0, 30.0),
+             speed_mps=(13.5, 17.5), not_faster_than_ego=True),
+        Flow(lane=2, count=(1, 2), start="at", first_m=(30.0, 90.0), gap_m=(25.0, 40.0), speed_mps=(13.5, 17.5),
+             target_mps=(14.0, 18.0)),
+    ),
+    success=Success(reach_x_m=410.0, reach_lanes=(0, 1), mean_speed_mps=10.0),
+)
+
+SCENARIOS = (MERGE, NATURAL, MAIN)
