@@ -9,6 +9,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from schemas.realtime import Mode, resolve
+
 TCP_HOST = "127.0.0.1"
 DEFAULT_PORT = 7447
 NAMES = ("sim", "fast", "slow", "llm")
@@ -62,6 +64,9 @@ class RunOptions:
     say_at_s: float = 3.0
     as_json: bool = False
     without: tuple[str, ...] = ()
+    realtime: Mode = "auto"
+    trace: Path | None = None
+    """A folder for the stamps of every tick of sim and fast."""
 
 
 def free_port() -> int:
@@ -116,9 +121,18 @@ def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Pro
             "mode": "peer",
             "listen": [_socket(sockets, name)],
             "connect": [_socket(sockets, other) for other in ("bus", *others)],
+            # The router and slow hear strangers, whose messages may be long. Their links to these two stay ordinary.
+            "low_latency": name in ("sim", "fast"),
         }
 
-    sim: dict[str, object] = {"bus": bus("sim", "fast"), "scenario": options.scenario, "seed": options.seed}
+    def critical(name: str, *others: str) -> dict[str, object]:
+        return {
+            "bus": bus(name, *others),
+            "realtime": resolve(options.realtime),
+            "trace": str((options.trace / f"{name}.trace").absolute()) if options.trace else "",
+        }
+
+    sim: dict[str, object] = {**critical("sim", "fast"), "scenario": options.scenario, "seed": options.seed}
     if options.duration_s is not None:
         sim["duration_s"] = options.duration_s
     slow: dict[str, object] = {
@@ -130,7 +144,7 @@ def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Pro
         "memory_path": str(data_folder() / "memory.sqlite"),
     }
     table = [
-        Process(name="fast", argv=_node("fast_node", {"bus": bus("fast")}), critical=True),
+        Process(name="fast", argv=_node("fast_node", critical("fast")), critical=True),
         # The road begins once somebody is there to answer its first tick; hence it is the simulator that links to the
         # fast node, whose socket is there already, and not the other way round, after a retry.
         Process(name="sim", argv=_node("sim_node", sim), critical=True, needs=("fast",), finishes=True),

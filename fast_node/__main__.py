@@ -5,21 +5,28 @@ from __future__ import annotations
 import gc
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 
+from fast_node import node as node_module
 from fast_node.config import FastConfig
 from fast_node.node import FastNode
 from fast_node.policy import SHIPPED, load_policy
 from schemas import topics
 from schemas.bus import open_bus
 from schemas.messages import ROW_COLUMNS, Lane, Observation
-from schemas.process import Heartbeat, load_config, log, run_node
+from schemas.process import Heartbeat, Trace, load_config, log, run_node
+from schemas.realtime import claim
+
+PARTS = ("close_actions", "policy_input", "logits")
+"""What the benchmark times within a step: the mask, the features, the policy."""
 
 
-def warm_up(config: FastConfig, node: FastNode) -> None:
+def warm_up(node: FastNode) -> None:
     """Pay for the first inferences before going live."""
     rows = np.zeros((8, len(ROW_COLUMNS)), np.float32)
     rows[:, 0], rows[:, 1], rows[:, 6:8] = np.arange(8), np.arange(8) * 30.0, (5.0, 2.0)
@@ -27,33 +34,67 @@ def warm_up(config: FastConfig, node: FastNode) -> None:
     for tick in range(20):
         node.step(Observation(epoch=-2, stamp_ns=0, tick=tick, scenario="warm-up", lanes=lanes, rows=rows.tobytes()),
                   None, 0)
-    node.counts = dict.fromkeys(node.counts, 0)
     gc.collect()
     gc.freeze()
 
 
+def time_parts(policy: object) -> dict[str, int]:
+    """Have the parts of every step add their nanoseconds to the dictionary that is returned."""
+    spent = dict.fromkeys(PARTS, 0)
+
+    def timed(name: str, part: Callable[..., Any]) -> Callable[..., Any]:
+        def wrapper(*args: Any, **more: Any) -> Any:
+            start = time.monotonic_ns()
+            result = part(*args, **more)
+            spent[name] += time.monotonic_ns() - start
+            return result
+
+        return wrapper
+
+    for owner in (node_module, policy):
+        for name in PARTS:
+            if hasattr(owner, name):
+                setattr(owner, name, timed(name, getattr(owner, name)))
+    return spent
+
+
 def main() -> None:
     config = load_config(FastConfig, sys.argv[1:])
-    node = FastNode(config, load_policy(Path(config.policy) if config.policy else SHIPPED))
-    warm_up(config, node)
+    policy = load_policy(Path(config.policy) if config.policy else SHIPPED)
+    node, understudy = FastNode(config, policy), FastNode(config, policy)
+    warm_up(understudy)
+    trace, spent = Trace(config.trace), time_parts(policy) if config.trace else {}
+    scheduling = claim(config.realtime)
     with open_bus(config.bus) as bus:
         bus.announce(topics.ACTION)
-        observations = bus.subscribe(topics.OBSERVATION)
+
+        def rehearse(last: Observation) -> None:
+            """Answer the last observation once more, without consequence."""
+            understudy.step(last, directives.peek(), 0)
+            bus.announce_next(topics.ACTION)
+
+        observations = bus.subscribe_rehearsed(topics.OBSERVATION, rehearse)
         directives = bus.subscribe(topics.DIRECTIVE)
         with Heartbeat(bus, "fast", lambda: {k: float(v) for k, v in node.counts.items()}) as heart:
-            log("fast", "ready")
-            while True:
-                observation = observations.wait()
-                arrived_ns = time.monotonic_ns()
-                heart.begin()
-                heart.epoch = observation.epoch
-                action, events = node.step(observation, directives.peek(), arrived_ns)
-                now_ns = time.monotonic_ns()
-                bus.publish(topics.ACTION, msgspec.structs.replace(
-                    action, stamp_ns=now_ns, compute_ns=now_ns - arrived_ns))
-                for event in events:
-                    bus.publish(topics.EVENT, event)
-                heart.end()
+            log("fast", "ready", realtime=scheduling)
+            try:
+                while True:
+                    observation = observations.wait()
+                    decoded_ns = time.monotonic_ns()
+                    heart.begin()
+                    heart.epoch = observation.epoch
+                    spent.update(dict.fromkeys(spent, 0))
+                    action, events = node.step(observation, directives.peek(), observations.arrived_ns)
+                    now_ns = time.monotonic_ns()
+                    bus.publish(topics.ACTION, msgspec.structs.replace(
+                        action, stamp_ns=now_ns, compute_ns=now_ns - observations.arrived_ns))
+                    trace.add(observation.epoch, observation.tick, observations.arrived_ns, decoded_ns, *spent.values(),
+                              now_ns, time.monotonic_ns())
+                    for event in events:
+                        bus.publish(topics.EVENT, event)
+                    heart.end()
+            finally:
+                trace.save()
 
 
 if __name__ == "__main__":

@@ -9,8 +9,10 @@ import signal
 import sys
 import threading
 import time
+from array import array
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TypeVar
 
 import msgspec
@@ -18,6 +20,7 @@ import msgspec
 from schemas import topics
 from schemas.bus import Bus, BusConfig
 from schemas.messages import Status
+from schemas.realtime import Mode
 
 OK, FAILED, USAGE, UNAVAILABLE, TRY_AGAIN, CONFIG = 0, 1, 2, 69, 75, 78
 """Exit codes: see the README's table. 130 and 143 are the signals' own."""
@@ -91,17 +94,25 @@ def log(node: str, event: str, detail: str = "", **fields: object) -> None:
     print(json.dumps(line), file=sys.stderr, flush=True)
 
 
+QUIET_WAIT_S = 0.1
+"""How long a beat waits for a tick to end: longer than one tick at 15 Hz."""
+QUIET_S = 0.01
+"""From a tick's end to the beat: by then the answer to it has arrived, and the next tick is far."""
+
+
 class Heartbeat:
     """Publishes `Status` at the topic's rate from a thread of its own, as long as the node's loop makes progress.
 
     The loop brackets its work with `working()`; a loop stuck inside one for more than `stuck_s` lets the heart stop,
-    and the supervisor sees it. Waiting for a message is not being stuck.
+    and the supervisor sees it. Waiting for a message is not being stuck. A beat goes out a little after a tick's work
+    has ended, never during a tick: it would hold the interpreter while the tick's answer arrives.
     """
 
     def __init__(self, bus: Bus, node: str, figures: Callable[[], dict[str, float]], stuck_s: float = 1.0) -> None:
         self._bus, self._node, self._figures, self._stuck_s = bus, node, figures, stuck_s
         self._busy_since: float | None = None
         self._stop = threading.Event()
+        self._ended = threading.Event()
         self._seq = 0
         self.epoch = 0
         self.state: str = "ready"
@@ -120,10 +131,15 @@ class Heartbeat:
 
     def end(self) -> None:
         self._busy_since = None
+        self._ended.set()
 
     def _beat(self) -> None:
         period = 1.0 / (topics.STATUS.hz or 5.0)
-        while not self._stop.wait(period):
+        while not self._stop.wait(period - QUIET_WAIT_S):
+            self._ended.clear()
+            self._ended.wait(QUIET_WAIT_S)
+            if self._stop.wait(QUIET_S):
+                return
             busy_since = self._busy_since
             if busy_since is not None and time.monotonic() - busy_since > self._stuck_s:
                 continue
@@ -133,7 +149,29 @@ class Heartbeat:
                 state=self.state, figures=self._figures()))  # type: ignore[arg-type]
 
 
+class Trace:
+    """Rows of integers about each tick, kept in memory and written at the end: the benchmark's view into a node."""
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+        self._rows = array("q")
+
+    def add(self, *row: int) -> None:
+        """Keep a row; all rows of one trace have the same length. Without a path: nothing."""
+        if self._path:
+            self._rows.extend(row)
+
+    def save(self) -> None:
+        """Write the rows as little-endian int64, if there is a path."""
+        if self._path:
+            Path(self._path).write_bytes(self._rows.tobytes())
+
+
 class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What every node's configuration has; a node's own `config.py` appends to it."""
 
     bus: BusConfig = BusConfig()
+    realtime: Mode = "off"
+    """Scheduling of a latency-critical node; see `schemas.realtime`."""
+    trace: str = ""
+    """Where to write the stamps of every tick; empty: nowhere."""

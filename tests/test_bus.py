@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -24,11 +25,11 @@ def folder() -> Iterator[Path]:
     shutil.rmtree(path, ignore_errors=True)
 
 
-def peer(folder: Path, name: str, *others: str) -> BusConfig:
+def peer(folder: Path, name: str, *others: str, low_latency: bool = False) -> BusConfig:
     def socket(of: str) -> str:
         return f"unixsock-stream/{folder}/{of}.sock"
 
-    return BusConfig(listen=(socket(name),), connect=tuple(map(socket, others)))
+    return BusConfig(listen=(socket(name),), connect=tuple(map(socket, others)), low_latency=low_latency)
 
 
 def directive(number: int) -> Directive:
@@ -100,6 +101,42 @@ def test_a_malformed_payload_is_counted_and_skipped(folder: Path) -> None:
         assert newest is not None
         assert newest.id == 1
         assert "directive" in b.last_fault
+
+
+@pytest.mark.parametrize("other", [True, False])
+def test_the_largest_message_arrives_over_a_low_latency_link(folder: Path, other: bool) -> None:
+    with (open_bus(peer(folder, "a", low_latency=True)) as a,
+          open_bus(peer(folder, "b", "a", low_latency=other)) as b):
+        reader = b.subscribe_bytes(topics.COMMAND)
+        assert a.wait_for_reader(topics.COMMAND, 5.0)
+        a.publish_bytes(topics.COMMAND, b"x" * topics.MAX_MESSAGE_BYTES)
+        assert len(reader.wait()) == topics.MAX_MESSAGE_BYTES
+
+
+def test_an_announced_message_is_rehearsed_with_the_last_one(folder: Path) -> None:
+    with open_bus(peer(folder, "a")) as a, open_bus(peer(folder, "b", "a")) as b:
+        rehearsed: list[int] = []
+        reader = b.subscribe_rehearsed(topics.DIRECTIVE, lambda last: rehearsed.append(last.id))
+        assert a.wait_for_reader(topics.DIRECTIVE, 5.0)
+        a.publish(topics.DIRECTIVE, directive(1))
+        assert reader.wait().id == 1
+        waiting = threading.Thread(target=reader.wait)
+        waiting.start()
+        publish_until(lambda: a.announce_next(topics.DIRECTIVE), lambda: rehearsed)
+        a.publish(topics.DIRECTIVE, directive(2))
+        waiting.join(5.0)
+        assert set(rehearsed) == {1}
+
+
+def test_an_announcement_is_no_message(folder: Path) -> None:
+    with open_bus(peer(folder, "a")) as a, open_bus(peer(folder, "b", "a")) as b:
+        rehearsing = b.subscribe_rehearsed(topics.DIRECTIVE, lambda _: None)
+        other = b.subscribe_bytes(topics.DIRECTIVE)
+        assert a.wait_for_reader(topics.DIRECTIVE, 5.0)
+        for _ in range(10):
+            a.announce_next(topics.DIRECTIVE)
+            time.sleep(0.01)
+        assert (rehearsing.take(), other.take(), b.faults) == ([], [], {})
 
 
 def test_a_client_that_reaches_nobody_says_so_at_once() -> None:

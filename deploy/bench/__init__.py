@@ -1,0 +1,1 @@
+"""`fastslow bench`: what the runtime costs, measured on the real processes."""

@@ -1,0 +1,155 @@
+"""`fastslow bench`: the commands. Heavy imports are inside them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(name="bench", help="Measure what the runtime costs, on this machine and on the real processes.",
+                  no_args_is_help=True, rich_markup_mode=None)
+
+Json = Annotated[bool, typer.Option("--json", help="Data as JSON on stdout; everything else on stderr.")]
+Realtime = Annotated[str, typer.Option(help="Scheduling of sim, fast and all they are compared with: "
+                                            "auto, fifo, user or off.")]
+
+
+def _chosen(values: list[str] | None, allowed: tuple[str, ...], option: str) -> tuple[str, ...]:
+    unknown = sorted(set(values or ()) - set(allowed))
+    if unknown:
+        raise typer.BadParameter(f"{', '.join(unknown)}: choose from {', '.join(allowed)}", param_hint=f"'{option}'")
+    return tuple(v for v in allowed if v in values) if values else allowed
+
+
+def _fail(reason: object) -> typer.Exit:
+    typer.echo(f"fastslow: {reason}", err=True)
+    return typer.Exit(78)
+
+
+@app.command(epilog="Examples:\n\n  fastslow bench latency\n\n"
+                    "  fastslow bench latency --seconds 20 --load none --peer floor --peer bus\n\n"
+                    "  fastslow bench latency --seconds 240 --json --plot latency.png\n\n"
+                    "Loads: none; cpu, a thread per core of matrix products; llm, the embedded language model "
+                    "answering without pause. Peers that are not installed are left out: "
+                    "pip install 'fastslow[bench]'.")
+def latency(
+    seconds: Annotated[float, typer.Option(min=2.0, help="Paced time under each load; p99.9 needs 200.")] = 240.0,
+    load: Annotated[list[str] | None, typer.Option(
+        metavar="LOAD", help="none, cpu or llm; may be repeated.", show_default="all three")] = None,
+    peer: Annotated[list[str] | None, typer.Option(
+        metavar="PEER", help="floor, bus, bus-default, zmq or dora; may be repeated.",
+        show_default="all that are installed")] = None,
+    realtime: Realtime = "auto",
+    plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the paced distributions.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where the result goes.",
+                                             show_default="runs/bench-TIME-PID")] = None,
+    as_json: Json = False,
+) -> None:
+    """Time observation to action on the real processes, beside a floor, the bare bus and other transports."""
+    from deploy.bench import figures
+    from deploy.bench import latency as bench
+    from schemas.process import ConfigError
+    from schemas.realtime import MODES
+
+    loads = _chosen(load, bench.LOADS, "--load")
+    peers = _chosen(peer, bench.PEERS, "--peer")
+    _chosen([realtime], MODES, "--realtime")
+    if plot is not None:
+        try:
+            import matplotlib  # noqa: F401
+        except ImportError:
+            raise _fail("--plot needs matplotlib: pip install 'fastslow[bench]'") from None
+    try:
+        result, path = bench.run(bench.Options(
+            seconds=seconds, loads=loads, realtime=realtime, peers=peers, out=out))  # type: ignore[arg-type]
+        if plot is not None:
+            figures.plot(result, plot)
+    except (ConfigError, OSError) as error:
+        raise _fail(error) from None
+    typer.echo(f"fastslow: kept in {path}", err=True)
+    if as_json:
+        typer.echo(json.dumps({k: v for k, v in result.items() if k != "histograms"}))
+        return
+    for line in bench.lines(result):
+        typer.echo(line)
+
+
+@app.command(epilog="Examples:\n\n  fastslow bench scale\n\n  fastslow bench scale --rounds 100 --json")
+def scale(
+    rounds: Annotated[int, typer.Option(min=20, help="Round trips for each point.")] = 1000,
+    seconds: Annotated[float, typer.Option(min=1.0, help="Of 15 Hz, for each number of loops.")] = 20.0,
+    realtime: Realtime = "auto",
+    out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where the result goes.",
+                                             show_default="runs/scale-TIME-PID")] = None,
+    as_json: Json = False,
+) -> None:
+    """Show how a tick's cost grows with vehicles, egos, loops on one machine and message size, and what breaks."""
+    from deploy.bench import scale as bench
+    from schemas.process import ConfigError
+    from schemas.realtime import MODES
+
+    _chosen([realtime], MODES, "--realtime")
+    try:
+        result, path = bench.run(realtime, rounds, seconds, out)  # type: ignore[arg-type]
+    except (ConfigError, OSError) as error:
+        raise _fail(error) from None
+    typer.echo(f"fastslow: kept in {path}", err=True)
+    if as_json:
+        typer.echo(json.dumps(result))
+        return
+    for line in bench.lines(result):
+        typer.echo(line)
+
+
+@app.command(epilog="Examples:\n\n  fastslow bench sim\n\n  fastslow bench sim --vehicles 50 --policy-hz 15 --json")
+def sim(
+    vehicles: Annotated[list[int] | None, typer.Option(
+        min=1, help="Cars besides the ego, 20 or 50; may be repeated.", show_default="20 and 50")] = None,
+    policy_hz: Annotated[list[int] | None, typer.Option(
+        help="Decisions a second, a divisor of 15; may be repeated.", show_default="15, 5 and 1")] = None,
+    variant: Annotated[list[str] | None, typer.Option(
+        metavar="VARIANT", help="batched, accelerated, stock or envpool; may be repeated.",
+        show_default="all that are installed")] = None,
+    seconds: Annotated[float, typer.Option(min=0.1, help="CPU time of each contender in each setting.")] = 6.0,
+    as_json: Json = False,
+) -> None:
+    """Compare our simulator's engines with stock highway-env and EnvPool: ticks per CPU second, latency, parity."""
+    from deploy.bench import sim as bench
+
+    def progress(doing: str) -> None:
+        typer.echo(f"fastslow: {doing}", err=True)
+
+    try:
+        result = bench.bench_sim(
+            seconds=seconds, vehicles=vehicles or bench.VEHICLES, policy_hz=policy_hz or bench.POLICY_HZ,
+            names=variant or None, progress=progress)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    typer.echo(json.dumps(result) if as_json else bench.table(result))
+
+
+@app.command(epilog="Example:\n\n  fastslow bench compare runs/before/latency.json runs/after/latency.json")
+def compare(
+    a: Annotated[Path, typer.Argument(help="A saved result.")],
+    b: Annotated[Path, typer.Argument(help="Another one.")],
+    as_json: Json = False,
+) -> None:
+    """Compare two saved results of `bench latency`: the ratio B / A of p50 and p99, with 95 % intervals."""
+    from deploy.bench import figures
+    from schemas.process import ConfigError
+
+    try:
+        rows = figures.compare(figures.read(a), figures.read(b))
+    except ConfigError as error:
+        raise _fail(error) from None
+    if as_json:
+        typer.echo(json.dumps({"schema": "fastslow.bench.compare/1", "rows": rows}))
+        return
+    for row in rows:
+        said = "   ".join(
+            f"{name[:3]} {f['a']:.0f} -> {f['b']:.0f} us, x{f['ratio']:.2f} [{f['low']:.2f}, {f['high']:.2f}]"
+            f"{' *' if f['differ'] else '  '}" for name, f in row.items() if isinstance(f, dict))
+        typer.echo(f"{row['load']:<5} {row['pace']:<13} {row['what']:<12} {said}")
+    typer.echo("* differs by more than chance; a machine whose speed drifts does that too: compare floor with floor")
