@@ -22,7 +22,7 @@ from schemas.messages import ROW_COLUMNS, Lane, Observation
 from schemas.process import Heartbeat, Trace, load_config, log, run_node
 from schemas.realtime import claim
 
-PARTS = ("close_actions", "policy_input", "logits")
+PARTS = ("close_actions", "features", "logits")
 """What the benchmark times within a step: the mask, the features, the policy."""
 
 

@@ -39,14 +39,21 @@ FOLLOW_GAIN = 0.5
 CEILING_REACTION_S = 0.3
 CEILING_BRAKE = 4.5
 """The speed that a gap admits leaves the executor time to brake with this, before RSS would need all it has."""
-FOLLOWER_REACTION_S = 0.3
+FOLLOWER_REACTION_S = 0.8
+FOLLOWER_BLIND_S = 1.0
+CREEP_MPS = 5.0
 FOLLOWER_BRAKE = 6.0
+# A follower reacts when the ego comes into its lane; an ego slower than this takes up to so much longer to get there.
 # What a follower is to be spared where the change can wait: MOBIL's b_safe, with the IDM that simulated cars drive by.
 COURTESY_BRAKE = 2.0
 IDM_GAP_M, IDM_TIME_S, IDM_ACCEL, IDM_BRAKE = 5.0, 1.5, 3.0, 5.0
-CUT_IN_MPS = 0.4
-CUT_IN_S = 1.0
+CUT_IN_MPS = 0.3
+CUT_IN_S = 2.0
 """A car moving sideways at least this fast counts as being where it will be after this time, too."""
+COMES_OUT_M = 150.0
+"""This near to the end of its lane a car may come out of it at any time."""
+MEET_S = 0.8
+"""Cars that will overlap laterally within this time count as if they did."""
 SIDE_M = 0.3
 """Cars closer than this to overlapping laterally count as in each other's way."""
 PASS_ACCEL = 0.7
@@ -66,8 +73,16 @@ UNSEEN_M = 40.0
 SIGHT_MARGIN_M = 10.0
 """An oncoming car, as fast as its limit, may exist unseen from this much before the end of sight."""
 CHANGE_S = 2.0
-"""A change off a lane that ends must begin this long before, and `END_M`."""
-END_M = 10.0
+CHANGE_M = 12.0
+"""A change off a lane that ends must begin this long and this far before."""
+STOP_M = 20.0
+"""Without a change the ego comes to rest this far before the end: from there it can still steer out of the lane."""
+END_M = 4.0
+"""Nothing of the lane is used beyond this before its end: half a car, and what may stand there."""
+LEAVE_M = 6.0
+"""So much more room is kept to a car ahead in a lane that ends: it may stop there, and then one must get by."""
+OUT_M = 2.3
+"""Aside from the lane's centre line by this much the ego is out of the way of what stands at its end."""
 
 
 def lane_table(lanes: tuple[Lane, ...]) -> list[tuple[float, ...]]:
@@ -89,7 +104,8 @@ def allowed_speed(gap: float, lead_mps: float) -> float:
 def follower_gap(behind_mps: float, ego_mps: float, must: bool) -> float:
     """Gap that a car behind needs when the ego comes in before it: to be able to stop (RSS), and, unless the ego
     `must` leave its lane, not to have to brake harder than `COURTESY_BRAKE` as an IDM driver."""
-    need = rss_same_direction_m(behind_mps, ego_mps, FOLLOWER_REACTION_S, 1.0, FOLLOWER_BRAKE, EGO_BRAKE)
+    reaction_s = FOLLOWER_REACTION_S + FOLLOWER_BLIND_S * max(0.0, 1.0 - ego_mps / CREEP_MPS)
+    need = rss_same_direction_m(behind_mps, ego_mps, reaction_s, 0.5, FOLLOWER_BRAKE, EGO_BRAKE)
     if not must:
         closing = behind_mps - ego_mps
         wanted = IDM_GAP_M + behind_mps * IDM_TIME_S + behind_mps * closing / (2.0 * math.sqrt(IDM_ACCEL * IDM_BRAKE))
@@ -112,9 +128,13 @@ def pass_time_s(distance: float, faster_mps: float, top_mps: float) -> float:
 def survey(rows: Any, lanes: Any, near: Any) -> None:
     """Fill near[3 * lane + (0, 1, 2)] with the row of the nearest car ahead, behind, and oncoming ahead; -1: none.
 
-    A car that moves sideways is in the lane it comes to as well.
+    A car that moves sideways is in the lane it comes to as well, and one that may come out of a lane that ends is in
+    the lane to its left.
     """
     n_lanes = len(lanes)
+    longest = 0.0
+    for k in range(n_lanes):
+        longest = max(longest, lanes[k][2])
     for k in range(3 * n_lanes):
         near[k] = -1
     x = rows[0][1]
@@ -131,6 +151,9 @@ def survey(rows: Any, lanes: Any, near: Any) -> None:
         if other != lane and (other < 0 or other >= n_lanes or row[1] < lanes[other][1]
                               or abs(row[2] + CUT_IN_S * row[4] - lanes[other][0]) > 0.5 * lanes[other][4]):
             other = lane
+        if other == lane and 0 < lane and lanes[lane][2] < longest and row[1] > lanes[lane][6] and (
+                row[1] > lanes[lane][2] - COMES_OUT_M):
+            other = lane - 1
         while True:
             k = 3 * lane
             if row[3] < -0.1:
@@ -146,11 +169,18 @@ def survey(rows: Any, lanes: Any, near: Any) -> None:
             lane = other
 
 
-def entry(rows: Any, lanes: Any, near: Any, lane: int, aim: int) -> tuple[int, int]:
-    """Whether the ego may enter lane `aim` of its own direction from `lane` now: (rule, row index), `OPEN` if so."""
+def entry(rows: Any, lanes: Any, near: Any, lane: int, aim: int, giving_up: bool) -> tuple[int, int]:
+    """Whether the ego may enter lane `aim` of its own direction from `lane` now: (rule, row index), `OPEN` if so.
+
+    giving_up: it is still partly there.
+    """
     x, v, length = rows[0][1], rows[0][3], rows[0][6]
-    if (x > lanes[aim][2] - CHANGE_S * v - END_M or x < lanes[aim][1] or x < lanes[lane][6] or lanes[aim][7] > 0.0):
-        return NO_LANE, -1
+    if giving_up and int(rows[0][8]) == aim:  # it has not left yet
+        return OPEN, -1
+    if not giving_up:
+        ends = min(lanes[aim][2], lanes[lane][2])
+        if x > ends - CHANGE_S * v - CHANGE_M or x < lanes[aim][1] or x < lanes[lane][6] or lanes[aim][7] > 0.0:
+            return NO_LANE, -1
     ahead, behind, oncoming = near[3 * aim], near[3 * aim + 1], near[3 * aim + 2]
     if ahead >= 0:
         gap = gap_m(x, rows[ahead][1], length, rows[ahead][6])
@@ -245,7 +275,7 @@ def close_actions(
         elif aim < 0 or aim >= n_lanes:
             rule[action] = NO_LANE
         elif lanes[aim][3] > 0:
-            rule[action], vehicle[action] = entry(rows, lanes, near, target_lane, aim)
+            rule[action], vehicle[action] = entry(rows, lanes, near, target_lane, aim, previous_lane >= 0)
         else:
             rule[action], vehicle[action] = passing(rows, lanes, near, target_lane, aim, sight)
             if rule[action] == OPEN:
@@ -257,32 +287,40 @@ def close_actions(
     # Longitudinal: every car in our way, in the lane we aim for, coming into it, or beside us while we change.
     ceiling = 1e9
     slower = -1
+    longest = 0.0
+    for k in range(n_lanes):
+        longest = max(longest, lanes[k][2])
+    must_leave = lanes[target_lane][2] < longest
     lane_y = lanes[target_lane][0]
     for i in range(1, len(rows)):
         row = rows[i]
         if row[0] < 0 or row[1] < x or row[3] < -0.1:
             continue
-        overlap = abs(row[2] - y) < 0.5 * (row[7] + ego[7]) + SIDE_M
+        aside = abs(row[2] - y) - 0.5 * (row[7] + ego[7]) - SIDE_M
+        meeting = (ego[4] - row[4]) * (1.0 if row[2] > y else -1.0)  # how fast they come together sideways
+        overlap = aside < 0.0 or aside < MEET_S * meeting
         in_lane = int(row[8]) == target_lane
+        if not in_lane and row[4] * (lane_y - row[2]) > 0.0 and abs(row[4]) > CUT_IN_MPS:
+            in_lane = abs(row[2] + CUT_IN_S * row[4] - lane_y) < 0.5 * (row[7] + ego[7])
         if not overlap and not in_lane:
-            coming = row[4] * (lane_y - row[2]) > 0.0 and abs(row[4]) > CUT_IN_MPS
-            if not coming or abs(row[2] + CUT_IN_S * row[4] - lane_y) > 0.5 * (row[7] + ego[7]):
-                continue
-            in_lane = True
+            continue
         gap = gap_m(x, row[1], length, row[6])
         lead_v = max(row[3], 0.0)
         leaving = not in_lane
         if overlap and gap < (0.5 if leaving else 1.0) + rss_same_direction_m(
                 v, lead_v, REACTION_S, 0.0, EGO_BRAKE + 1.0, LEAD_BRAKE):
+            # While the two are still apart sideways the change may be given up; leaving a lane may go on.
+            apart = aside > 0.0 and previous_lane >= 0 and int(ego[8]) == previous_lane
             for a in range(5):
-                if rule[a] == OPEN and a != SLOW_DOWN and not (a >= LEFT and leaving):
+                if rule[a] == OPEN and a != SLOW_DOWN and not (a >= LEFT and (leaving or apart)):
                     rule[a], vehicle[a] = LEAD, i
             rule[SLOW_DOWN], vehicle[SLOW_DOWN] = LEAD, i
-        limit = lead_v + (gap - 1.0) / 1.5 if leaving else allowed_speed(gap, lead_v)
+        spare = gap - LEAVE_M if gap > LEAVE_M and must_leave else gap
+        limit = lead_v + (gap - 1.0) / 1.5 if leaving else allowed_speed(spare, lead_v)
         if limit < ceiling:
             ceiling, slower = limit, i
     end = lanes[target_lane][2] - x
-    at_end = math.sqrt(EGO_BRAKE * max(end - END_M, 0.0))  # half the braking power stops the ego before the end
+    at_end = math.sqrt(EGO_BRAKE * max(end - STOP_M, 0.0))  # half the braking power stops the ego before the end
     if at_end < ceiling:
         ceiling, slower = at_end, -1
     because = SPEED_FOR_GAP if slower >= 0 else LANE_ENDS
@@ -290,7 +328,18 @@ def close_actions(
         rule[CRUISE], vehicle[CRUISE] = because, slower
     if rule[SPEED_UP] == OPEN and target_speed + 1.0 > ceiling:
         rule[SPEED_UP], vehicle[SPEED_UP] = because, slower
-    if end < 0.5 * length + 1.5 + v * REACTION_S + v * v / (2.0 * EGO_BRAKE):
+    stop = v * REACTION_S + v * v / (2.0 * EGO_BRAKE)
+    must_stop = end < END_M + stop
+    if previous_lane >= 0 and lanes[previous_lane][2] < lanes[target_lane][2]:
+        # Out of the lane that ends before its end? Else stop there while that is possible. No way back beyond that.
+        left = OUT_M - abs(y - lanes[previous_lane][0])
+        room = lanes[previous_lane][2] - END_M - x
+        late = 0.0 < left and room < max(v * (0.4 + 0.45 * left), 2.2 * left)
+        must_stop = must_stop or (late and stop <= room < stop + v / 15.0 + 1.0)
+        back = LEFT if previous_lane < target_lane else RIGHT
+        if rule[back] == OPEN and room < stop + v:
+            rule[back] = LANE_ENDS
+    if must_stop:
         for a in range(3):
             if rule[a] == OPEN:
                 rule[a] = LANE_ENDS

@@ -12,7 +12,7 @@ from fast_node.coordination import Coordination
 from fast_node.mask import OPEN, RULES, close_actions, lane_table
 from fast_node.policy import Policy
 from schemas.codec import rows_of
-from schemas.features import Array, policy_input
+from schemas.features import Array, features
 from schemas.messages import POLICY_ACTIONS, Action, Closure, Directive, Event, MetaAction, Observation
 from schemas.wish import ANY_LANE, Wish
 
@@ -46,8 +46,7 @@ class FastNode:
                 why=f"{type(error).__name__}: {error}"[:120]), []
 
     def _step(self, observation: Observation, directive: Directive | None, now_ns: int) -> tuple[Action, list[Event]]:
-        rows = rows_of(observation)
-        table = rows.tolist()
+        table = rows_of(observation).tolist()
         rule, vehicle = [0] * 6, [-1] * 6
         lanes = lane_table(observation.lanes)
         close_actions(table, lanes, observation.target_speed_mps, observation.target_lane, observation.previous_lane,
@@ -60,7 +59,7 @@ class FastNode:
         self._epoch, self._wish = observation.epoch, wish
         source: str
         try:
-            logits = self._logits(observation, rows, wish)
+            logits = self._logits(observation, table, wish)
             if not np.isfinite(logits).all():
                 raise FloatingPointError("non-finite logits")
             invited = rule.copy()
@@ -85,14 +84,11 @@ class FastNode:
             speed_goal_mps=wish.speed_mps, directive_id=directive.id if directive else None,
             budget_ns=round(self._config.budget_ms * 1e6), closed=closed, why=why), events
 
-    def _logits(self, observation: Observation, rows: Array, wish: Wish) -> Array:
-        one = np.float64
-        return self._policy.logits(policy_input(
-            rows,
-            one(math.nan if wish.lane == ANY_LANE else observation.lanes[wish.lane].y_m),  # type: ignore[arg-type]
-            one(wish.speed_mps), one(wish.headway_s),  # type: ignore[arg-type]
-            one(observation.target_speed_mps), one(observation.previous_lane >= 0),  # type: ignore[arg-type]
-            one(observation.lanes[observation.target_lane].end_m - float(rows[0, 1]))))  # type: ignore[arg-type]
+    def _logits(self, observation: Observation, table: list[list[float]], wish: Wish) -> Array:
+        lanes, aim = observation.lanes, observation.target_lane
+        return self._policy.logits(features(
+            table, math.nan if wish.lane == ANY_LANE else lanes[wish.lane].y_m, wish.speed_mps, wish.headway_s,
+            observation.target_speed_mps, observation.previous_lane >= 0, lanes[aim].end_m - table[0][1]))
 
 
 def fallback(rule: list[int], observation: Observation) -> int:

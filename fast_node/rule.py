@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.features import FEATURES, Array
 from schemas.messages import POLICY_ACTIONS, MetaAction
@@ -33,8 +32,9 @@ def rule_logits(x: Array) -> Array:
     dx, dv = 50.0 * others[..., _AT["dx"]], 5.0 * others[..., _AT["dvx"]]
     reach = np.maximum(BLOCKED_M, BLOCKED_S * speed)[..., None]
     ahead = (others[..., 0] > 0) & (np.abs(others[..., _AT["dy"]]) < 0.5) & (dx > 0) & (dx < reach) & (dv < -0.5)
-    wants_out = free & (ahead.any(-1) | (100.0 * own[..., _AT["road_left"]] < ENDS_M))
-    left: NDArray[np.bool_] = wants_out
+    ends = 100.0 * own[..., _AT["road_left"]] < ENDS_M
+    settled = own[..., _AT["changing"]] == 0
+    left, right = free & settled & (ahead.any(-1) | ends), free & settled & ahead.any(-1) & ~ends
     logits[..., MetaAction.LEFT] = np.where(left, 2.5, logits[..., MetaAction.LEFT])
-    logits[..., MetaAction.RIGHT] = np.where(left, 2.0, logits[..., MetaAction.RIGHT])
+    logits[..., MetaAction.RIGHT] = np.where(right, 2.0, logits[..., MetaAction.RIGHT])
     return logits

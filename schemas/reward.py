@@ -38,4 +38,4 @@ def reward(
     slow = np.abs(speed - v_des) / speed_range * np.where(speed > v_des, OVERSPEED, 1.0)
     total = (0.6 - slow + LANE * in_wished_lane + COMFORT * accel_square + STEP * acted + BRAKE * braked
              + NEAR * np.clip(1.0 - ttc_s / NEAR_S, 0.0, 1.0) + CRASH * crashed)
-    return (SCALE * total).astype(np.float32)
+    return np.asarray(SCALE * total, np.float32)

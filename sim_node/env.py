@@ -17,7 +17,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 from numpy.typing import NDArray
 
-from schemas.features import BOUND, FEATURES, N_ROWS, policy_input
+from schemas.features import BOUND, FEATURES, N_ROWS, features
 from schemas.messages import POLICY_ACTIONS, Lane, MetaAction
 from schemas.reward import reward
 from schemas.wish import ANY_LANE, Wish, wished_lane
@@ -114,16 +114,10 @@ class _Features(ObservationType):  # type: ignore[misc]
         env: ScenarioEnv = self.env
         wish, ego = env.wish, env.ego
         lanes = env.published_lanes()
-        one = np.float64
-        return policy_input(
-            rows(env),
-            one(math.nan if wish.lane == ANY_LANE else lanes[wish.lane].y_m),  # type: ignore[arg-type]
-            one(wish.speed_mps),  # type: ignore[arg-type]
-            one(wish.headway_s),  # type: ignore[arg-type]
-            one(ego.target_speed),  # type: ignore[arg-type]
-            one(ego.previous_lane >= 0),  # type: ignore[arg-type]
-            one(lanes[ego.target_lane].end_m - ego.position[0]),  # type: ignore[arg-type]
-        )
+        return features(
+            rows(env).tolist(), math.nan if wish.lane == ANY_LANE else lanes[wish.lane].y_m, wish.speed_mps,
+            wish.headway_s, ego.target_speed, ego.previous_lane >= 0,
+            lanes[ego.target_lane].end_m - float(ego.position[0]))
 
 
 class _MetaActions(ActionType):  # type: ignore[misc]

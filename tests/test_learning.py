@@ -12,7 +12,7 @@ from fast_node.policy import load_policy
 from fast_node.training.learner import advantages, masked_distribution
 from fast_node.training.network import ActorCritic
 from fast_node.training.train import export
-from schemas.features import FEATURES, policy_input
+from schemas.features import FEATURES, features
 from schemas.process import ConfigError
 
 
@@ -72,7 +72,7 @@ def test_a_missing_or_corrupt_policy_is_refused_in_one_line(tmp_path):
 def test_the_wish_and_the_neighbours_stand_where_the_layout_says():
     rows = np.zeros((2, 9), np.float32)
     rows[0, 1:4], rows[1, :4] = (100, 4, 5), (1, 125, 0, -5)
-    x = policy_input(rows, *map(np.float64, (0.0, 8.0, 1.5, 6.0, 0.0, 150.0)))
+    x = features(rows.tolist(), 0.0, 8.0, 1.5, 6.0, False, 150.0)
     own, other = dict(zip(FEATURES, x[0], strict=True)), dict(zip(FEATURES, x[1], strict=True))
     assert (own["y_des"], round(float(own["v_des"]), 3), own["headway"], round(float(own["set_point"]), 3)) == (
         -1.0, 0.6, 0.5, 0.2)
@@ -83,5 +83,5 @@ def test_the_wish_and_the_neighbours_stand_where_the_layout_says():
 
 def test_without_a_wished_lane_the_lateral_wish_is_zero_and_says_so():
     rows = np.zeros((1, 9), np.float32)
-    x = policy_input(rows, *map(np.float64, (np.nan, 8.0, 1.5, 6.0, 0.0, 150.0)))
+    x = features(rows.tolist(), np.nan, 8.0, 1.5, 6.0, False, 150.0)
     assert [x[0, FEATURES.index(name)] for name in ("y_des", "y_wished")] == [0.0, 0.0]

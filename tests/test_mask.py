@@ -115,7 +115,7 @@ def test_a_car_that_moves_into_the_next_lane_from_beyond_closes_the_change():
 
 
 def test_a_car_that_cuts_in_ahead_limits_the_speed_before_it_is_in_the_lane():
-    rows = [car(0, 500, 2, 25), car(4, 515, 1, 20)]
+    rows = [car(0, 500, 2, 25), car(4, 536, 1, 20)]
     rows[1][4], rows[1][2] = 1.5, 5.5
     assert closed_on(HIGHWAY, rows, 2)[MetaAction.CRUISE] == "speed above the gap's"
 
@@ -200,7 +200,7 @@ def test_after_an_open_change_a_follower_that_reacts_late_and_brakes_fully_does_
     for tick in range(60):  # the ego brakes with 5, as the rule assumes; the other after its reaction time with 6
         v = max(v - 5.0 / 15, 0.0)
         x += v / 15
-        if tick >= 4:
+        if tick >= 12:
             other_v = max(other_v - 6.0 / 15, 0.0)
         follower += other_v / 15
         assert x - follower > 5.0

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from fast_node import choice, mask
 from fast_node.choice import HELD, MASKED
-from schemas import measures, wish
-from schemas.features import Array, policy_input
+from schemas import features, measures, wish
+from schemas.features import FEATURES, N_ROWS, Array
 from schemas.messages import POLICY_ACTIONS, MetaAction
 from schemas.reward import reward
 from schemas.wish import ANY_LANE
@@ -79,6 +79,20 @@ def _look_all(
                         ttc[s] = min(ttc[s], gap / closing)
 
 
+_features = numba.njit(features.policy_input)
+
+
+@numba.njit  # type: ignore[untyped-decorator]
+def _observe_all(
+    rows: Any, lanes: Any, wish_lane: Any, v_des: Any, headway: Any, target_speed: Any, target_lane: Any,
+    previous: Any, order: Any, out: Any,
+) -> None:
+    for s in range(rows.shape[0]):
+        y_des = np.nan if wish_lane[s] < 0 else lanes[s, wish_lane[s], 0]
+        road_left = lanes[s, target_lane[s], 2] - rows[s, 0, 1]
+        _features(rows[s], y_des, v_des[s], headway[s], target_speed[s], previous[s] >= 0, road_left, order, out[s])
+
+
 @numba.njit  # type: ignore[untyped-decorator]
 def _choose_all(
     logits: Any, rule: Any, age: Any, lanes: Any, target_lane: Any, wish_lane: Any, meta: Any, by: Any
@@ -129,6 +143,7 @@ class Fleet:
         self.lanes = np.repeat(task.lanes[None], s, axis=0)
         self.rule, self.vehicle = np.zeros((s, 6), np.int64), np.zeros((s, 6), np.int64)
         self._near = np.zeros((s, 3 * n), np.int64)
+        self._order = np.zeros(world.rows.shape[1], np.int64)
         self.told_lane, self.pass_id = np.full(s, ANY_LANE), np.full(s, -1)
         self.v_des, self.headway = np.zeros(s), np.full(s, 1.5)
         self.wish = np.full(s, ANY_LANE)
@@ -143,11 +158,11 @@ class Fleet:
 
     def observe(self) -> Array:
         """Policy input (S, N, F)."""
-        w, each = self.world, np.arange(len(self.wish))
-        y_des = np.where(self.wish == ANY_LANE, np.nan, self.lanes[each, np.maximum(self.wish, 0), 0])
-        road_left = self.lanes[each, w.target_lane, 2] - w.rows[:, 0, 1]
-        return policy_input(w.rows, y_des, self.v_des, self.headway, w.target_speed,
-                            (w.previous_lane >= 0).astype(np.float64), road_left)
+        w = self.world
+        out = np.empty((len(self.wish), N_ROWS, len(FEATURES)), np.float32)
+        _observe_all(w.rows, self.lanes, self.wish, self.v_des, self.headway, w.target_speed, w.target_lane,
+                     w.previous_lane, self._order, out)
+        return out
 
     def over(self) -> Bools:
         """Where the ego has crashed, reached its goal or come to the road's end."""

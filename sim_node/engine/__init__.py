@@ -1,1 +1,1 @@
-"""Batched simulators for training: the same world as the real-time environments, many scenes at a time."""
+"""highway-env compiled, bit for bit: one environment for the runtime (`accelerated`), many for training (`batched`)."""

@@ -22,8 +22,6 @@ HZ = 15
 DT_S = 1.0 / HZ
 CAR_WIDTH_M = 2.0
 OBSTACLE_M = 2.0
-PASSED_M = 5.0
-"""A car is passed once the centres are this far apart, as in `sim_node.metrics`."""
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -56,7 +54,8 @@ class Batched:
     def __init__(
         self, scenario: Scenario, scenes: int, seed: int, *, ego: Literal["executor", "idm"] = "executor"
     ) -> None:
-        """ego: "executor" takes actions; "idm" drives by itself (IDM and MOBIL), as fast as its speed goal.
+        """ego: "executor" takes actions; "idm" drives by itself, as fast as its speed goal: IDM and, where no lane is
+        oncoming, MOBIL.
 
         Raises ValueError for another ego.
         """
@@ -83,7 +82,7 @@ class Batched:
         self._view = View(
             self.rows, _published(scenario), self.lane_y, _lanes_of_network(self._tables, self._lane_of_piece,
                                                                             self._pieces),
-            scenario.road_end_m - kernel.LEFT_ROAD_M, scenario.sight_m)
+            float(scenario.road_end_m - kernel.LEFT_ROAD_M), float(scenario.sight_m))
         e = self._ego
         self.target_speed, self.target_lane, self.previous_lane = e.target_speed, e.target_lane, e.previous_lane
         self.accel, self.crashed, self.ticks = e.accel, e.crashed, e.ticks
@@ -119,7 +118,7 @@ class Batched:
         if self._kind == kernel.EXECUTOR:
             f[kernel.DELTA, 0], f[kernel.TIMER, 0], g[kernel.CHANGES, 0], g[kernel.TARGET_LANE, 0] = 1.0, 0.0, 0, 0
         else:
-            g[kernel.CHANGES, 0] = 1
+            g[kernel.CHANGES, 0] = all(plan.direction > 0 for plan in self.scenario.lanes)
         self.target_speed[scene], self.target_lane[scene] = spawn.target_speed[0], spawn.lane[0]
         self.previous_lane[scene], self.accel[scene] = -1, 0.0
         self.crashed[scene], self.ticks[scene] = False, 0
@@ -136,13 +135,7 @@ class Batched:
         """Advance every scene by 1/15 s: one `MetaAction` (S,) per scene, and its speed goal (S,) m/s (nan: none)."""
         self._ego.speed_goal[:] = speed_goal
         kernel.advance(1, DT_S, self._tables.roads, self._calls, self._scratch, self._f, self._g, self._ego,
-                       self._view, meta)
-
-    def passed(self) -> Bools:
-        """(S,) where vehicle 1 lies behind and the ego is back in the lane that it started in."""
-        behind = self.x[:, 0] - self.x[:, 1] > PASSED_M
-        home = self.rows[:, 0, 8] == self.scenario.ego.lanes[0]
-        return np.asarray(behind & home & (self.previous_lane == -1))
+                       self._view, np.ascontiguousarray(meta, np.int64))
 
     def keep_going(self) -> None:
         """From now on crashed scenes go on, as upstream's do."""
@@ -185,7 +178,7 @@ class BatchedRoads:
     def tick(self, action: Ints, ticks: int = 1) -> None:
         """Advance by `ticks`; action (S,) by number as `DiscreteMetaAction`'s, at the first tick."""
         kernel.advance(ticks, self.dt, self.tables.roads, self._calls, self._scratch, self.f, self.g, self.ego,
-                       NO_VIEW, action)
+                       NO_VIEW, np.ascontiguousarray(action, np.int64))
 
 
 def _published(scenario: Scenario) -> Floats:

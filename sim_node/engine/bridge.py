@@ -44,8 +44,9 @@ def new_ego(scenes: int, speeds: NDArray[np.float64], freezes: bool = False, pie
         meta=np.zeros(scenes, np.int64), speed_goal=np.full(scenes, np.nan), target_speed=np.zeros(scenes),
         target_lane=np.zeros(scenes, np.int64), previous_lane=np.full(scenes, -1, np.int64), accel=np.zeros(scenes),
         crashed=np.zeros(scenes, np.bool_), ticks=np.zeros(scenes, np.int64), speeds=speeds,
-        pieces=np.zeros((1, 7)) if pieces is None else pieces, lanes_n=lanes_n, floor=floor, ceiling=ceiling,
-        freezes=freezes)
+        # Exactly these types: with an int for a float numba would compile anew, in the middle of a drive.
+        pieces=np.zeros((1, 7)) if pieces is None else np.ascontiguousarray(pieces, np.float64), lanes_n=int(lanes_n),
+        floor=float(floor), ceiling=float(ceiling), freezes=freezes)
 
 
 class Bridge:

@@ -31,7 +31,7 @@ TWO_WAY = Scenario(
     flows=(
         flow(1, "ahead", (1, 2), (18.0, 30.0), (25.0, 45.0), (3.8, 4.8)),
         flow(1, "behind", (1, 1), (20.0, 40.0), (0.0, 0.0), (5.0, 7.0), not_faster_than_ego=True),
-        flow(0, "ahead", (1, 3), (60.0, 140.0), (60.0, 160.0), (5.0, 7.0)),
+        flow(0, "ahead", (1, 2), (60.0, 140.0), (100.0, 200.0), (5.0, 7.0)),
     ),
     success=Success(pass_first_lead=True),
     end_x_m=2800.0,
