@@ -4,7 +4,7 @@ BIN := .venv/bin
 TEXT ?= I'm in a hurry to get to work, I want to drive faster
 export TEXT
 
-.PHONY: setup run say test check clean
+.PHONY: setup run say test parity difficulty check clean
 .DEFAULT_GOAL := run
 
 setup: .venv/.ready
@@ -25,6 +25,14 @@ say: setup
 
 test: setup
 	$(BIN)/python -m pytest $(ARGS)
+
+# The engine against stock highway-env, to the last bit: 20 seeds of 40 s, on every stock road and every one of ours.
+parity: setup
+	$(BIN)/python -m sim_node.engine.parity $(ARGS)
+
+# Who survives and who succeeds on which road.
+difficulty: setup
+	$(BIN)/fastslow evaluate --all --episodes 300 $(ARGS)
 
 check: setup
 	$(BIN)/ruff check .

@@ -9,6 +9,9 @@ from typing import Annotated
 
 import typer
 
+from deploy.bench.cli import app as bench
+from deploy.memory import app as memory
+
 _PORT = 7447
 _EXITS = ("Exit codes: 0 ok, 1 failed, 2 usage, 69 nobody there, 75 try again (port taken), "
           "78 bad configuration or model, 130/143 signals.")
@@ -24,6 +27,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+app.add_typer(bench)
+app.add_typer(memory)
 
 Port = Annotated[int, typer.Option(min=1, max=65535, help="TCP port on 127.0.0.1 where the system listens.")]
 Json = Annotated[bool, typer.Option("--json", help="Data as JSON on stdout; everything else on stderr.")]
@@ -65,6 +71,9 @@ def run(
     without: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Leave out sim, fast, slow or llm; may be repeated.")
     ] = None,
+    realtime: Annotated[str, typer.Option(
+        help="Scheduling of sim and fast: fifo (real-time, where permitted), user (what a plain user may), off, or "
+             "auto: the best there is.")] = "auto",
 ) -> None:
     """Start the simulator, the fast and the slow node and the language model, and watch over them."""
     from deploy.processes import NAMES, RunOptions
@@ -72,11 +81,15 @@ def run(
     unknown = sorted(set(without or ()) - set(NAMES))
     if unknown:
         raise typer.BadParameter(f"{', '.join(unknown)}: choose from {', '.join(NAMES)}", param_hint="'--without'")
+    from schemas.realtime import MODES
+
+    if realtime not in MODES:
+        raise typer.BadParameter(f"{realtime}: choose from {', '.join(MODES)}", param_hint="'--realtime'")
     from deploy.run import run_system
 
     raise typer.Exit(run_system(RunOptions(
         scenario=scenario, seed=seed, duration_s=duration, port=port, say=say, say_at_s=say_at, as_json=as_json,
-        without=tuple(without or ()))))
+        without=tuple(without or ()), realtime=realtime)))
 
 
 @app.command(epilog="Examples:\n\n  fastslow say \"I'm in a hurry\"\n\n"
@@ -114,47 +127,102 @@ def doctor(port: Port = _PORT, as_json: Json = False) -> None:
 
 
 @app.command(epilog="Examples:\n\n  fastslow train\n\n"
-                    "  fastslow train --steps 20000 --seed 1 --out mine.safetensors\n\n" + _EXITS)
+                    "  fastslow train --scenario highway --steps 20000 --seed 1 --out mine.safetensors\n\n" + _EXITS)
 def train(
     out: Annotated[Path, typer.Option(help="Where the policy goes, with a JSON sidecar beside it.")] = Path(
-        "runs/two_way.safetensors"),
+        "runs/policy.safetensors"),
+    scenario: Annotated[list[str] | None, typer.Option(
+        help="Roads to learn on; may be repeated.", show_default="highway, merge, two-way")] = None,
     steps: Annotated[int, typer.Option(min=1024, help="Decisions to learn from (the paper's budget by default).")] = (
         100_000),
     seed: Annotated[int, typer.Option(min=0, help="Of the network, the traffic and the directives.")] = 0,
 ) -> None:
-    """Learn the two-way policy (some minutes on one core)."""
+    """Learn one policy for the given roads (some minutes on one core)."""
     try:
-        from deploy.training import train_two_way
+        from deploy.training import train_policy
 
-        figures = train_two_way(out, steps, seed)
+        figures = train_policy(out, scenario or ["highway", "merge", "two-way"], steps, seed)
     except ImportError as error:
         typer.echo(f"fastslow: {error.name} is missing: pip install 'fastslow[train]'", err=True)
         raise typer.Exit(78) from None
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="'--scenario'") from None
     typer.echo(f"{out}: return {figures['episodic_return']:.2f}, crashes {figures['crash_rate']:.1%}", err=True)
 
 
-@app.command(epilog="Examples:\n\n  fastslow evaluate\n\n  fastslow evaluate --episodes 100 --json\n\n" + _EXITS)
+@app.command(epilog="Examples:\n\n  fastslow evaluate\n\n  fastslow evaluate --all --episodes 300 --json\n\n"
+                    "  fastslow evaluate --agent rule --agent idm --scenario merge\n\n" + _EXITS)
 def evaluate(
+    agent: Annotated[list[str] | None, typer.Option(
+        help="Who drives; may be repeated: see the table it prints.", show_default="ours")] = None,
+    scenario: Annotated[list[str] | None, typer.Option(
+        help="Where; may be repeated.", show_default="highway, merge, two-way")] = None,
+    everything: Annotated[bool, typer.Option("--all", help="Every agent on every scenario.")] = False,
     checkpoint: Annotated[Path | None, typer.Option(help="A policy; by default the one that drives.")] = None,
-    episodes: Annotated[int, typer.Option(min=1, help="How many, with seeds from 1000.")] = 10,
-    duration: Annotated[float, typer.Option(min=1.0, help="Seconds an episode.")] = 60.0,
+    episodes: Annotated[int, typer.Option(min=1, help="How many, with seeds from 1000.")] = 100,
+    directive: Annotated[str, typer.Option(
+        help="Asked for: full speed in any lane (hurry), in a drawn lane (lane), or any wish (random).")] = "hurry",
     as_json: Json = False,
 ) -> None:
-    """Drive lock-step episodes of two-way, told to overtake at 3 s, and count what came of it."""
-    from deploy.evaluate import evaluate as run_all
+    """Drive episodes on seeds that training never saw, and print what came of it with 95 % intervals."""
     from schemas.process import CONFIG, ConfigError
 
     try:
-        result = run_all(checkpoint, episodes, duration)
+        from deploy.evaluate import AGENTS, evaluate_all, table
+        from sim_node.scenarios import SCENARIOS
+
+        result = evaluate_all(
+            list(AGENTS) if everything else agent or ["ours"],
+            list(SCENARIOS) if everything else scenario or ["highway", "merge", "two-way"],
+            episodes, checkpoint=checkpoint, directive=directive, progress=lambda text: typer.echo(text, err=True))
+    except ImportError as error:
+        typer.echo(f"fastslow: {error.name} is missing: pip install 'fastslow[train]'", err=True)
+        raise typer.Exit(CONFIG) from None
     except ConfigError as error:
         typer.echo(f"fastslow: {error}", err=True)
         raise typer.Exit(CONFIG) from None
-    if as_json:
-        typer.echo(json.dumps(result))
-        return
-    for row in result["rows"]:
-        for name, value in row.items():
-            typer.echo(f"{name:>18}  {value}")
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    typer.echo(json.dumps(result) if as_json else table(result))
+
+
+@app.command(epilog="Examples:\n\n  fastslow interpret --input commands.jsonl --output directives.jsonl\n\n"
+                    "  echo '{\"id\": 1, \"text\": \"a bit slower\"}' | fastslow interpret --input -\n\n"
+                    "  fastslow interpret --score --json\n\n  fastslow interpret --experiment memory --per-kind 5\n\n"
+                    + _EXITS)
+def interpret(
+    source: Annotated[str | None, typer.Option(
+        "--input", help='JSON lines {"id", "text", "scene"?}; "-": stdin.')] = None,
+    output: Annotated[str, typer.Option(help='Where the JSON lines go; "-": stdout.')] = "-",
+    scene: Annotated[Path | None, typer.Option(help="The scene of lines without one.", show_default="4 lanes")] = None,
+    score: Annotated[bool, typer.Option("--score", help="Interpret and score the development set instead.")] = False,
+    experiment: Annotated[str | None, typer.Option(help="memory: the model with 0, 2, 4 recalled examples.")] = None,
+    per_kind: Annotated[int | None, typer.Option(min=1, help="Only the first so many of each kind of the set.")] = None,
+    ask: Annotated[str, typer.Option(help="Ask the language model: auto, always, unsure or never.")] = "auto",
+    reader: Annotated[bool, typer.Option(help="Use the trained reader.")] = True,
+    k: Annotated[int, typer.Option(min=0, max=8, help="Examples recalled for the model.")] = 4,
+    threads: Annotated[int, typer.Option(min=1, help="Of the embedded model.")] = 1,
+    as_json: Json = False,
+) -> None:
+    """Turn commands into directives in batch mode, by the code that drives; or score that."""
+    import os
+    from typing import get_args
+
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads: two threads are slower
+    from deploy import interpret as task
+
+    if ask not in get_args(task.Ask):
+        raise typer.BadParameter(f"{ask}: choose from {', '.join(get_args(task.Ask))}", param_hint="'--ask'")
+    if experiment is not None:
+        if experiment != "memory":
+            raise typer.BadParameter(f"{experiment}: there is only memory", param_hint="'--experiment'")
+        raise typer.Exit(task.memory_experiment(as_json=as_json, per_kind=per_kind, threads=threads))
+    if score:
+        raise typer.Exit(task.score_development_set(
+            as_json=as_json, per_kind=per_kind, output=output, ask=ask, reader=reader, k=k, threads=threads))
+    if source is None:
+        raise typer.BadParameter('give a file or "-", or --score', param_hint="'--input'")
+    raise typer.Exit(task.batch(source, output, scene, ask=ask, reader=reader, k=k, threads=threads))
 
 
 def main() -> None:

@@ -25,8 +25,8 @@ FIRST_SEED = 1000
 SCHEMA = "fastslow.evaluate/1"
 
 Directive = Literal["hurry", "lane", "random"]
-"""What the passenger asks for: full speed in any lane (on two-way: to overtake), full speed in a lane drawn for the
-seed, or any lane and any speed drawn for the seed."""
+"""What the passenger asks for: full speed in any lane (on two-way: to overtake, one car after the other), full speed in
+a lane drawn for the seed, or any lane and any speed drawn for the seed."""
 Logits = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
 
@@ -126,12 +126,14 @@ def drive(
     driver = (Driver if agent in ("ours", "rule") else Unmasked)(fleet, logits)
     recorder = Recorder(scenario, n)
     active = np.ones(n, np.bool_)
-    for _ in range(round(scenario.duration_s * 15)):
+    for tick in range(round(scenario.duration_s * 15)):
         if agent == "brake":
             fleet.look()
             world.tick(np.full(n, int(MetaAction.EMERGENCY_BRAKE)), fleet.v_des)
         else:
             driver.tick()
+        if tick % 15 == 0 and not scenario.wish_lanes:
+            _overtake_on(fleet)
         recorder.tick(world.rows, world.accel, world.target_lane, world.previous_lane, world.crashed, active,
                       fleet.wish, fleet.v_des, driver.overridden)
         active &= ~fleet.over()
@@ -140,24 +142,38 @@ def drive(
     return recorder.results()
 
 
+def _overtake_on(fleet: Fleet) -> None:
+    """Whoever has passed its car is asked to pass the next, as the slow node asks while the passenger is in a hurry."""
+    rows = fleet.world.rows
+    for s in np.flatnonzero(fleet.pass_id >= 0):
+        ahead = (rows[s, :, 0] > 0) & (rows[s, :, 8] == fleet.told_lane[s]) & (rows[s, :, 3] > -0.1) & (
+            rows[s, :, 1] > rows[s, 0, 1])
+        if ahead.any() and not ahead[rows[s, :, 0] == fleet.pass_id[s]].any():
+            nearest = np.where(ahead, rows[s, :, 1], np.inf).argmin()
+            fleet.pass_id[s] = int(rows[s, nearest, 0])
+
+
 def evaluate_all(
     agents: Sequence[str], scenarios: Sequence[str], episodes: int, *, checkpoint: Path | None = None,
     directive: str = "hurry", progress: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """A row per agent and scenario, over the seeds from `FIRST_SEED`."""
-    rows = []
+    """A row per agent and scenario, over the seeds from `FIRST_SEED`; and per scenario the seeds that nobody survived."""
+    rows, unsurvived = [], {}
     for name in scenarios:
         if name not in SCENARIOS:
             raise ValueError(f"scenario {name!r} is not one of: {', '.join(SCENARIOS)}")
+        died = set(range(episodes))
         for agent in agents:
             progress(f"{agent} on {name}")
             results = drive(agent, SCENARIOS[name], range(FIRST_SEED, FIRST_SEED + episodes), checkpoint=checkpoint,
                             directive=directive)
+            died &= {i for i, r in enumerate(results) if r.collided}
             good = sum(r.success for r in results)
             rows.append({
                 "agent": agent, "scenario": name, "speed_set": SCENARIOS[name].speed_set, "first_seed": FIRST_SEED,
                 "success_ci95": wilson95(good, episodes), **summarise(results)})
-    return {"schema": SCHEMA, "directive": directive, "rows": rows}
+        unsurvived[name] = sorted(FIRST_SEED + i for i in died)
+    return {"schema": SCHEMA, "directive": directive, "rows": rows, "unsurvived": unsurvived}
 
 
 def table(result: dict[str, Any]) -> str:
@@ -171,4 +187,6 @@ def table(result: dict[str, Any]) -> str:
             f"{r['scenario']:<16}{r['agent']:<14}{good:>22}{r['ego_fault_collisions']:>5}{r['struck_collisions']:>5}"
             f"{r['avg_speed']:>7.2f}{r['accel_var']:>7.2f}{r['min_ttc_mean']:>9.2f}{100 * r['lane_compliance']:>8.0f}%"
             f"{100 * r['override_share']:>7.1f}%")
+    lines += [f"{name}: nobody survived {', '.join(map(str, seeds))}" for name, seeds in result["unsurvived"].items()
+              if seeds and len(result["rows"]) > 1]
     return "\n".join(lines)

@@ -26,6 +26,7 @@ class Coordination:
         self._directive: Directive | None = None
         self._done = True
         self._pass_id = -1
+        self._eager = False
         self._waiting_since = -1
         self._waiting: Closure | None = None
 
@@ -63,7 +64,7 @@ class Coordination:
         elif current.target_lane is not None and 0 <= current.target_lane < len(observation.lanes) and (
                 observation.lanes[current.target_lane].direction > 0):
             lane = current.target_lane
-        elif current.target_lane is None and (overtakes or speed > self._cruise_mps):
+        elif current.target_lane is None and self._eager:
             lane = ANY_LANE  # whoever wants to get on does not mind where
         if self._waiting is not None and self._waiting_since >= 0 and self._waiting.rule == RULES[REAR_GAP]:
             speed = limit  # the paper's t = 20 s: accelerate first to widen the gap, then change
@@ -106,6 +107,8 @@ class Coordination:
         if renewal and directive.manoeuvre == "overtake":
             return
         self._pass_id, self._waiting_since = -1, -1
+        wanted = directive.target_speed_mps
+        self._eager = directive.manoeuvre == "overtake" or (wanted is not None and wanted > self._cruise_mps)
         if directive.manoeuvre == "overtake":
             home = self._home(observation)
             ahead = [r for r in rows[1:] if int(r[8]) == home and r[3] > -0.1 and r[1] > rows[0][1]]

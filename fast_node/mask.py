@@ -77,6 +77,8 @@ CHANGE_M = 12.0
 """A change off a lane that ends must begin this long and this far before."""
 STOP_M = 20.0
 """Without a change the ego comes to rest this far before the end: from there it can still steer out of the lane."""
+END_BRAKE = 1.2
+"""Braking for the end of a lane: gently, and so early, for who comes slowly has time to find a gap."""
 END_M = 4.0
 """Nothing of the lane is used beyond this before its end: half a car, and what may stand there."""
 LEAVE_M = 6.0
@@ -151,7 +153,7 @@ def survey(rows: Any, lanes: Any, near: Any) -> None:
         if other != lane and (other < 0 or other >= n_lanes or row[1] < lanes[other][1]
                               or abs(row[2] + CUT_IN_S * row[4] - lanes[other][0]) > 0.5 * lanes[other][4]):
             other = lane
-        if other == lane and 0 < lane and lanes[lane][2] < longest and row[1] > lanes[lane][6] and (
+        if other == lane and lane > 0 and lanes[lane][2] < longest and row[1] > lanes[lane][6] and (
                 row[1] > lanes[lane][2] - COMES_OUT_M):
             other = lane - 1
         while True:
@@ -320,7 +322,7 @@ def close_actions(
         if limit < ceiling:
             ceiling, slower = limit, i
     end = lanes[target_lane][2] - x
-    at_end = math.sqrt(EGO_BRAKE * max(end - STOP_M, 0.0))  # half the braking power stops the ego before the end
+    at_end = math.sqrt(2.0 * END_BRAKE * max(end - STOP_M, 0.0))
     if at_end < ceiling:
         ceiling, slower = at_end, -1
     because = SPEED_FOR_GAP if slower >= 0 else LANE_ENDS

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from schemas.features import BOUND, FEATURES, N_ROWS, features
 from schemas.messages import POLICY_ACTIONS, Lane, MetaAction
-from schemas.reward import reward
+from schemas.reward import reward, shortfall
 from schemas.wish import ANY_LANE, Wish, wished_lane
 from sim_node import executor
 from sim_node.engine import bridge, kernel
@@ -30,8 +30,6 @@ from sim_node.scenarios import SCENARIOS, Scenario
 from sim_node.scenarios.scenario import Piece, centre_line, draw_wish, streams
 from sim_node.traffic import TrafficVehicle
 
-LEFT_ROAD_M = 20.0
-"""Other cars vanish this near to the end of their road: upstream would have them turn round."""
 REDIRECT_PER_S = 0.03
 """How often a training episode gets another directive on its way."""
 
@@ -51,6 +49,8 @@ class EgoVehicle(Vehicle):  # type: ignore[misc]
         self.scenario = scenario
         self.pieces = scenario.pieces()
         self._lines = self.pieces.tolist()
+        self.gates = scenario.gates()
+        self._gates = self.gates.tolist()
         self.dt = dt
         self.target_speed = speed_mps
         self.target_lane = lane
@@ -71,7 +71,8 @@ class EgoVehicle(Vehicle):  # type: ignore[misc]
                 self.target_speed,
                 self.target_lane,
                 self.previous_lane,
-                len(self.scenario.lanes),
+                self._gates,
+                float(self.position[0]),
                 self.speed_goal,
                 ego.speed_floor_mps,
                 ego.speed_ceiling_mps,
@@ -163,6 +164,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         self._duration_s = scenario.duration_s if isinstance(duration_s, str) else duration_s
         self._seed: int | None = None
         self._pieces = scenario.pieces().tolist()
+        self._gates = scenario.gates().tolist()
         self._ends = [(plan.pieces[0].start_m, plan.pieces[-1].end_m) for plan in scenario.lanes]
         self.wish = Wish(ANY_LANE, scenario.ego.speed_ceiling_mps, 1.5)
         self._directed = False
@@ -241,10 +243,10 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         """One tick of the world under one meta-action, without observing it."""
         self.time += 1 / self.hz
         self._simulate(meta)
-        end = self.scenario.road_end_m - LEFT_ROAD_M
+        end = self.scenario.road_end_m - kernel.LEFT_ROAD_M
         self.road.vehicles = [
             v for v in self.road.vehicles
-            if v is self.ego or (v.position[0] < end if math.cos(v.heading) > 0 else v.position[0] > LEFT_ROAD_M)
+            if v is self.ego or (v.position[0] < end if math.cos(v.heading) > 0 else kernel.LEFT_ROAD_M < v.position[0])
         ]
 
     def action_masks(self) -> NDArray[np.bool_]:
@@ -258,7 +260,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
             if ego.previous_lane >= 0:
                 able[action] = aim == ego.previous_lane
             else:
-                able[action] = 0 <= aim < len(scenario.lanes) and self._may_change(ego.target_lane, aim)
+                able[action] = executor.lane_beside(self._gates, ego.target_lane, aim, float(ego.position[0]))
         return able
 
     def direct(self, lane: int = ANY_LANE, speed_mps: float = math.nan, headway_s: float = 1.5,
@@ -278,12 +280,6 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         self._directed = True
         self._told = (home if overtake else lane, passed, speed, headway_s)
         self._update_wish()
-
-    def _may_change(self, lane: int, aim: int) -> bool:
-        x = float(self.ego.position[0])
-        start, end = self._ends[aim]
-        return self.scenario.lanes[aim].kind != "ramp" and start <= x <= end and (
-            x >= self.scenario.lanes[lane].change_from_m)
 
     def _follow(self) -> None:
         if not self._directed and self._wishes.random() < REDIRECT_PER_S * self._ticks_per_decision / self.hz:
@@ -306,7 +302,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         traffic, self._wishes, self.perception = streams(seed)
         self._lanes = s.lanes_at(0.0)
         self.road = Road(
-            network=_network(s), np_random=self.np_random, record_history=self.config["show_trajectories"],
+            network=network(s), np_random=self.np_random, record_history=self.config["show_trajectories"],
             neighbour_vehicles_connected_lanes=s.connected_lanes)
         self.config["neighbour_vehicles_connected_lanes"] = s.connected_lanes
         for lane, x in s.obstacles:
@@ -324,7 +320,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
                 [x, y],
                 heading=heading if drawn.direction[i] > 0 else heading + math.pi,
                 speed=speed,
-                target_lane_index=_lane_index(s, lane, x),
+                target_lane_index=lane_index(s, lane, x),
                 target_speed=float(drawn.target_speed[i]),
                 enable_lane_change=bool(drawn.lane_changes[i]),
                 timer=float(drawn.timer[i]),
@@ -340,10 +336,11 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         one = np.asarray
         gap, closing = leader(rows(self)[None], np.array([self.ego.target_lane]))
         ttc = float(gap[0] / closing[0]) if closing[0] > CLOSING_MIN_MPS else TTC_CAP_S
+        short = shortfall(float(gap[0]), speed, self.wish.headway_s) if np.isfinite(gap[0]) else 0.0
         lane = self.wish.lane
         return float(reward(
             one(speed), one(self.wish.speed_mps), 0.5 * self.scenario.ego.speed_ceiling_mps, one(accel_square),
-            one(action != MetaAction.CRUISE), one(lane in (ANY_LANE, self.ego.target_lane)), one(ttc), one(braked),
+            one(action != MetaAction.CRUISE), one(lane in (ANY_LANE, self.ego.target_lane)), one(ttc), one(short), one(braked),
             one(self.ego.crashed)))
 
     def _reward(self, action: int) -> float:
@@ -368,7 +365,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         return self._duration_s is not None and self.steps >= round(self._duration_s * self.hz)
 
 
-def _network(scenario: Scenario) -> RoadNetwork:
+def network(scenario: Scenario) -> RoadNetwork:
     """The scenario's lanes as highway-env's graph; an oncoming lane is on the map in both directions."""
     solid, striped, none = LineType.CONTINUOUS_LINE, LineType.STRIPED, LineType.NONE
     net = RoadNetwork()
@@ -392,7 +389,7 @@ def _network(scenario: Scenario) -> RoadNetwork:
     return net
 
 
-def _lane_index(scenario: Scenario, lane: int, x_m: float) -> tuple[str, str, int]:
+def lane_index(scenario: Scenario, lane: int, x_m: float) -> tuple[str, str, int]:
     """highway-env's index of the piece of `lane` at `x_m`."""
     plan = scenario.lanes[lane]
     piece: Piece = next((p for p in reversed(plan.pieces) if x_m >= p.start_m), plan.pieces[0])

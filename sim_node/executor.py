@@ -7,6 +7,7 @@ numba for training. SI units; the y axis grows to the right, so a positive steer
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from schemas.measures import EGO_ACCEL_MAX_MPS2, EGO_BRAKE_MAX_MPS2, LANE_CHANGE_DONE_M, SPEED_STEP_MPS
 from schemas.messages import MetaAction
@@ -38,12 +39,21 @@ HALF_WHEELBASE_M = 2.5
 """Half of the car's length, as highway-env's bicycle model has it."""
 
 
+def lane_beside(gates: Any, lane: int, aim: int, x: float) -> bool:
+    """Whether a car in `lane` can change to `aim` at `x` (m): it exists there, lies beside it, and is no ramp."""
+    if aim < 0 or aim >= len(gates):
+        return False
+    fits: bool = gates[aim][0] <= x <= gates[aim][1] and x >= gates[lane][2] and gates[aim][3] == 0.0
+    return fits
+
+
 def edit_set_points(
     meta: int,
     target_speed: float,
     target_lane: int,
     previous_lane: int,
-    lanes_n: int,
+    gates: Any,
+    x: float,
     speed_goal: float,
     speed_floor: float,
     speed_ceiling: float,
@@ -52,6 +62,7 @@ def edit_set_points(
 
     A speed step towards `speed_goal` (m/s; nan: none) stops at it. Steps stay within [`speed_floor`, `speed_ceiling`].
     While a lane change is under way (`previous_lane` >= 0) the same direction is ignored and the opposite gives it up.
+    gates: (L, 4) as `Scenario.gates`; a change needs a lane beside the ego at `x` (m).
     """
     if meta == SLOW_DOWN:
         stepped = max(target_speed - SPEED_STEP_MPS, speed_floor)
@@ -69,7 +80,7 @@ def edit_set_points(
             if (previous_lane - target_lane) * step > 0:
                 return target_speed, previous_lane, target_lane
             return target_speed, target_lane, previous_lane
-        if 0 <= target_lane + step < lanes_n:
+        if lane_beside(gates, target_lane, target_lane + step, x):
             return target_speed, target_lane + step, target_lane
     return target_speed, target_lane, previous_lane
 

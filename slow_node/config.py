@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from schemas.process import NodeConfig
 
 
@@ -18,11 +20,18 @@ class SlowConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """SQLite file of the memory bank; empty: a bank that ends with the process."""
     budget_s: float = 8.0
     k: int = 4
+    """Examples recalled for a thought; 0: none."""
+    ask: Literal["auto", "always", "unsure", "never"] = "auto"
+    """When the language model is asked; `auto`: an endpoint always, the embedded model where the reader is unsure."""
+    reader: bool = True
+    """False: without the trained reader, the language model alone (for measurements)."""
+    seeds: bool = True
+    """False: the memory bank starts empty (for measurements)."""
 
     def __post_init__(self) -> None:
         if not self.base_url.startswith(("http://", "https://")):
             raise ValueError(f"base_url {self.base_url!r} must start with http:// or https://")
         if not 0.5 <= self.budget_s <= 60.0:
             raise ValueError("budget_s must be in 0.5..60")
-        if not 1 <= self.k <= 8:
-            raise ValueError("k must be in 1..8")
+        if not 0 <= self.k <= 8:
+            raise ValueError("k must be in 0..8")

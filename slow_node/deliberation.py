@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from schemas.clock import NS
 from schemas.messages import Command, Directive, Event, Reply, ReplyOutcome
 from slow_node.directive import Plan, Refusal, plan_of, return_plan
+from slow_node.replies import sentence
 from slow_node.scene import Scene
 from slow_node.slots import Slots
 from slow_node.thinking import Verdict
@@ -39,11 +40,15 @@ class Call:
 
 @dataclass(frozen=True)
 class Learn:
-    """Effect: keep a decision that worked out in the memory bank."""
+    """Effect: keep a decision and what came of it in the memory bank."""
 
     command: str
     scene: Scene
     slots: Slots
+    outcome: str
+    """"fulfilled", "expired"; with the rule that held it up, where one did."""
+    took_s: float
+    """From the directive to its end."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,8 @@ class _Intent:
     lead_id: int | None
     returning: bool = False
     rethought_ns: int = 0
+    vetoed_by: str = ""
+    """The mask's rule that last delayed it."""
 
 
 class Deliberation:
@@ -126,13 +133,13 @@ class Deliberation:
             if not verdict.model_answered:
                 say = "I cannot think about that right now; I keep driving as before."
                 return [self._reply(command, "failed", now_ns, why=verdict.why, say=say)]
-            return [self._refused(command, Refusal(verdict.why, "I did not understand. How should I drive?"), now_ns)]
+            return [self._refused(command, Refusal(verdict.why, sentence("unclear", "en")), now_ns)]
         scene = pending.scene
         if self._scene is not None and self._scene.epoch != scene.epoch:
             scene = self._scene  # the world was reset meanwhile: the wish stands, its scene does not
         if now_ns - scene.stamp_ns > SCENE_MAX_AGE_S * NS:
-            return [self._refused(command, Refusal("the answer came too late for its scene", "Please say it again."),
-                                  now_ns)]
+            say = sentence("again", verdict.slots.language)
+            return [self._refused(command, Refusal("the answer came too late for its scene", say), now_ns)]
         plan = plan_of(verdict.slots, scene)
         if isinstance(plan, Refusal):
             return [self._refused(command, replace(plan, why=verdict.why or plan.why), now_ns)]
@@ -148,11 +155,13 @@ class Deliberation:
             if self._scene is not None and self._scene.borrowing and intent.plan.manoeuvre == "overtake":
                 return []  # the first half is done; the manoeuvre ends on our own side of the road
             self._intent = None
-            say = "Done."
+            say = sentence("done", intent.slots.language)
             return [self._reply(intent.command, "fulfilled", now_ns, directive_id=event.directive_id, say=say),
-                    Learn(intent.command.text, intent.scene, intent.slots)]
+                    self._learn(intent, "fulfilled", now_ns)]
         if event.kind == "expired" and current:
             return self._end(intent, "expired", event.detail or "the directive expired", now_ns)
+        if event.kind in ("vetoed", "delayed") and current and event.rule:
+            self._intent = intent = replace(intent, vetoed_by=event.rule)
         if event.kind in ("vetoed", "delayed") and current and intent.plan.manoeuvre == "overtake":
             return self._rethink(intent, f"{event.kind} by the fast system ({event.rule or 'safety'})", now_ns)
         return []
@@ -176,7 +185,7 @@ class Deliberation:
         if not intent.returning and scene.borrowing and _passed(intent, scene):
             # By rule, not by the model: the seconds of a call would be spent facing oncoming traffic.
             self._intent = intent = replace(intent, returning=True)
-            return self._issue(intent, return_plan(scene), scene, now_ns)
+            return self._issue(intent, return_plan(scene, intent.slots.language), scene, now_ns)
         if now_ns - intent.directive.stamp_ns > (intent.directive.ttl_s - RENEW_BEFORE_S) * NS:
             return self._issue(intent, replace(intent.plan, say=""), scene, now_ns)
         return []
@@ -235,7 +244,13 @@ class Deliberation:
 
     def _end(self, intent: _Intent, outcome: ReplyOutcome, why: str, now_ns: int) -> list[Effect]:
         self._intent = None
-        return [self._reply(intent.command, outcome, now_ns, why=why, directive_id=intent.directive.id)]
+        return [self._reply(intent.command, outcome, now_ns, why=why, directive_id=intent.directive.id),
+                self._learn(intent, outcome, now_ns)]
+
+    @staticmethod
+    def _learn(intent: _Intent, outcome: str, now_ns: int) -> Learn:
+        came = f"{outcome}, held up by {intent.vetoed_by}" if intent.vetoed_by else outcome
+        return Learn(intent.command.text, intent.scene, intent.slots, came, (now_ns - intent.began_ns) / NS)
 
     def _call(self, command: Command, scene: Scene, *, rethink: bool, intent: str = "") -> Call:
         self._calls += 1

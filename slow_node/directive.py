@@ -1,13 +1,12 @@
 """Parse and its gates (paper's Eq. 8): i_t = Parse(R_t), from the model's text to a directive that fits the road.
 
-What must not rest on a model is decided here by rule: dangerous commands, spoken numbers, speed limits, which lanes
-exist. The safety mask of the fast node checks once more, at every tick.
+What must not rest on a model is decided here by rule: speed limits, safe distances, which lanes exist. Dangerous words
+are in `slow_node.rules`, spoken numbers in `slow_node.numbers`. The safety mask of the fast node checks once more.
 """
 
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,14 +14,18 @@ from pydantic import ValidationError
 
 from schemas.messages import Manoeuvre, Style
 from slow_node.memory import Example
+from slow_node.replies import sentence
 from slow_node.scene import Scene
-from slow_node.slots import Slots
+from slow_node.slots import Outcome, Slots
 
 SLOW_LEAD_WITHIN_M = 80.0
 TWO_WAY_SPEED_MPS = 8.0
 SLOWER_BY_MPS, SLOWEST_MPS = 2.0, 1.0
-CROSS_CHECK_COSINE = 0.9
-CLOSER_HEADWAY_S, FARTHER_HEADWAY_S = 1.2, 3.0
+CROSS_CHECK_COSINE = 0.97
+CLOSER_HEADWAY_S, FARTHER_HEADWAY_S, MAX_HEADWAY_S = 1.2, 3.0, 6.0
+MIN_HEADWAY_S = 1.0
+FAR_OVER_LIMIT = 1.5
+"""A named speed up to this multiple of the limit is clamped to the limit; a higher one is refused."""
 
 
 class ParseError(ValueError):
@@ -47,6 +50,7 @@ class Refusal:
 
     why: str
     say: str
+    outcome: Outcome = "refused"
 
 
 def parse_answer(text: str) -> Slots:
@@ -68,114 +72,88 @@ def parse_answer(text: str) -> Slots:
     return slots
 
 
-_HARM = re.compile(
-    r"\b(ram(m|me|s|ming)?|crash(es|ing)? (it |us )?(in ?to|against)|smash|run (him|her|them|it|\w+ \w+) over|run over|"
-    r"hit (the|that|this|him|her|them|a|my|those)\b|kill|hurt (him|her|them|the|that|some)|"
-    r"(push|force|shove) \w+( \w+)? off|cut (him|her|them|that \w+) off|(into|towards?) (the )?oncoming|collide|"
-    r"wrong way|on the (sidewalk|pavement)|run (the|this|that|a) red|"
-    r"(ignore|forget|break|disregard|exceed) (the |all |every |your )*(speed limits?|limit|rules?|law|safety|red light|"
-    r"other (cars|vehicles)|traffic)|(switch|turn) off (the |all |your )*(safety|brakes?|mask)|"
-    r"disable (the |all |your )*(safety|brakes?|mask)|without (braking|looking)|eyes closed|scare (the|that|him|her)|"
-    r"floor it)\b",
-    re.IGNORECASE,
-)
-_NEGATION = re.compile(
-    r"\b(do ?n[o']t|don\u2019t|dont|never|avoid|without|not|no need to)\b[^.,;!?]{0,25}$", re.IGNORECASE
-)
+UNSAFE_WHY = "unsafe command"
 
 
-def unsafe(command: str) -> bool:
-    """The command asks for harm in so many words. Judged before any model, and whatever a model says."""
-    return any(not _NEGATION.search(command[: match.start()]) for match in _HARM.finditer(command))
-
-
-UNSAFE = Refusal("unsafe command", "I cannot do that: it would put people at risk.")
-
-_SPEED = re.compile(
-    r"(?<![\d.])(\d{1,3}(?:[.,]\d{1,2})?)\s*(m/s|mps|met(?:er|re)s? per second"
-    r"|km/?h|kph|kilomet\w+ (?:per|an) hour|mph)",
-    re.IGNORECASE,
-)
-
-
-def spoken_speed_mps(command: str) -> float | None:
-    """A speed that the passenger named with its unit, as a rule: small models invent numbers."""
-    match = _SPEED.search(command)
-    if match is None:
-        return None
-    value, unit = float(match[1].replace(",", ".")), match[2].lower()
-    if unit == "mph":
-        return value * 0.44704
-    return value / 3.6 if unit.startswith("k") else value
-
-
-def cross_check(command: str, slots: Slots, nearest: Sequence[Example]) -> tuple[Slots, str]:
+def cross_check(slots: Slots, nearest: Sequence[Example]) -> tuple[Slots, str]:
     """The slots to act on, and why they are not the model's ("" where they are).
 
-    Retrieval cross-check: where a shipped example is all but the same sentence (cosine above 0.9) and disagrees with
-    the model, the example is right. Speeds come from the passenger's own digits, or not at all.
+    Retrieval cross-check: where a shipped example is all but the same sentence (cosine above 0.97: "in no hurry"
+    is near "in a hurry") and disagrees with the model, the example is right.
     """
-    why = ""
     seeds = [e for e in nearest if e.seed]
     if seeds and seeds[0].cosine > CROSS_CHECK_COSINE and seeds[0].slots.decision() != slots.decision():
         why = f"retrieval cross-check: as {seeds[0].command!r} (cosine {seeds[0].cosine:.2f})"
-        slots = seeds[0].slots
-    spoken = spoken_speed_mps(command)
-    if spoken is not None:
-        return slots.model_copy(update={"target_speed_mps": min(spoken, 100.0)}), why
-    if not any(c.isdigit() for c in command) and slots.target_speed_mps is not None:
-        return slots.model_copy(update={"target_speed_mps": None}), why
-    return slots, why
+        return seeds[0].slots.model_copy(update={"language": slots.language}), why
+    return slots, ""
 
 
 def plan_of(slots: Slots, scene: Scene) -> Plan | Refusal:
     """The directive's content for a wish on this road, or why there is none: the gate against the scene."""
-    if slots.outcome == "refuse":
-        return Refusal(f"refused: {slots.reasoning}".rstrip(": "), slots.say or "I can only help with safe driving.")
-    if slots.outcome == "unclear":
-        return Refusal("unclear command", slots.say or "I did not understand. How should I drive?")
+    if slots.outcome != "directive":
+        why = {"refused": UNSAFE_WHY, "out_of_scope": "not about driving", "unclear": "unclear command"}[slots.outcome]
+        return _refusal(f"{why}: {slots.reasoning}".rstrip(": "), slots, _SAY_OF[slots.outcome], slots.outcome,
+        slots.say)
     home = scene.home_lane
     back = home if scene.borrowing else None
     if slots.cancel:
-        return Plan("cruise", back, say=slots.say or "All right, back to normal driving.")
+        return Plan("cruise", back, say=_say(slots, "cancel"))
+    limit = scene.lanes[home].speed_limit_mps
+    if slots.target_speed_mps is not None and slots.target_speed_mps > FAR_OVER_LIMIT * limit:
+        return _refusal(f"{slots.target_speed_mps:.0f} m/s is far over the limit", slots, "unsafe")
+    if slots.headway_s is not None and slots.headway_s < MIN_HEADWAY_S:
+        return _refusal(f"{slots.headway_s:.1f} s is no safe distance", slots, "unsafe")
     if slots.speed == "stop":
-        return Plan("stop", back, 0.0, style="calm", say=slots.say or "I will stop.")
+        return Plan("stop", back, 0.0, style="calm", say=_say(slots, "stop"))
     on_left_is_oncoming = scene.exists(home - 1) and scene.lanes[home - 1].direction == -1
     hurry = slots.speed == "faster" and slots.lane in ("none", "left") and slots.target_speed_mps is None
-    pass_left = slots.lane == "left" and on_left_is_oncoming
-    if _slow_lead(scene) and (slots.overtake or pass_left or (hurry and scene.two_way)):
+    pass_left = slots.lane in ("left", "leftmost") and on_left_is_oncoming
+    if slots.overtake is not False and _slow_lead(scene) and (slots.overtake or pass_left or (hurry and scene.two_way)):
         return _overtake(slots, scene)
     if pass_left and not scene.borrowing:
-        return Refusal("the left lane is oncoming, with no slow car to pass", "The left lane is for oncoming traffic.")
+        return _refusal("the left lane is oncoming, with no slow car to pass", slots, "oncoming")
     lane = _wished_lane(slots, scene)
     if isinstance(lane, Refusal):
         return lane
+    if lane is None and (slots.lane == "keep" or slots.overtake is False):
+        lane = home
     if lane is None:
         lane = back
     speed = _wished_speed(slots, scene, lane)
-    headway = {"closer": CLOSER_HEADWAY_S, "farther": FARTHER_HEADWAY_S}.get(slots.gap)
-    manoeuvre: Manoeuvre = "cruise" if headway is None else "follow"
-    if lane is None and speed is None and headway is None and slots.lane != "keep":
-        return Refusal("the answer asks for nothing", "I did not understand. How should I drive?")
-    if slots.lane == "keep":
-        lane = home
+    headway = _wished_headway(slots, scene)
+    manoeuvre: Manoeuvre = "cruise" if headway is None and slots.overtake is not False else "follow"
+    if lane is None and speed is None and headway is None and slots.gap != "keep":
+        return _refusal("the answer asks for nothing", slots, "unclear", "unclear")
     style: Style = "calm" if slots.speed == "slower" or slots.gap == "farther" else "normal"
-    return Plan(manoeuvre, lane, speed, headway, style, slots.say or _sentence(slots))
+    return Plan(manoeuvre, lane, speed, headway, style, _say(slots, _key(slots)))
 
 
-def return_plan(scene: Scene) -> Plan:
+def return_plan(scene: Scene, language: str = "en") -> Plan:
     """The second half of an overtaking manoeuvre: back to the ego's own side of the road."""
-    return Plan("overtake", scene.home_lane, _cap(scene, scene.home_lane), style="assertive", say="Moving back in.")
+    say = sentence("back", language)
+    return Plan("overtake", scene.home_lane, _cap(scene, scene.home_lane), style="assertive", say=say)
+
+
+_SAY_OF = {"refused": "unsafe", "out_of_scope": "out_of_scope", "unclear": "unclear"}
+
+
+def _refusal(why: str, slots: Slots, key: str, outcome: Outcome = "refused", say: str = "") -> Refusal:
+    return Refusal(why, say or sentence(key, slots.language), outcome)
+
+
+def _say(slots: Slots, key: str) -> str:
+    return slots.say or sentence(key, slots.language)
 
 
 def _overtake(slots: Slots, scene: Scene) -> Plan | Refusal:
     home = scene.home_lane
     sides = [home - 1, home + 1] if not scene.two_way else [home - 1]
+    if slots.lane in ("right", "rightmost"):
+        sides.reverse()
     for lane in sides:
         if scene.exists(lane) and scene.lanes[lane].kind != "ramp":
-            say = slots.say or "I will overtake as soon as it is safe."
-            return Plan("overtake", lane, _cap(scene, lane), style="assertive", say=say)
-    return Refusal("there is no lane to overtake in", "There is no lane here to overtake in.")
+            return Plan("overtake", lane, _cap(scene, lane), style="assertive", say=_say(slots, "overtake"))
+    return _refusal("there is no lane to overtake in", slots, "no_lane")
 
 
 def _slow_lead(scene: Scene) -> bool:
@@ -190,12 +168,17 @@ def _cap(scene: Scene, lane: int | None) -> float:
 
 
 def _wished_lane(slots: Slots, scene: Scene) -> int | Refusal | None:
-    if slots.lane not in ("left", "right"):
-        return None
-    lane = scene.ego_lane + (-1 if slots.lane == "left" else 1)
-    if not scene.exists(lane):
-        return Refusal(f"no lane to the {slots.lane}", f"There is no lane to our {slots.lane}.")
-    return lane
+    if slots.lane in ("left", "right"):
+        lane = scene.ego_lane + (-1 if slots.lane == "left" else 1)
+        if not scene.exists(lane):
+            return _refusal(f"no lane to the {slots.lane}", slots, "no_lane")
+        return lane
+    if slots.lane in ("leftmost", "rightmost"):
+        own = [i for i, at in enumerate(scene.lanes) if scene.exists(i) and at.direction == 1 and at.kind != "ramp"]
+        if not own:
+            return _refusal(f"no {slots.lane} lane", slots, "no_lane")
+        return own[0] if slots.lane == "leftmost" else own[-1]
+    return None
 
 
 def _wished_speed(slots: Slots, scene: Scene, lane: int | None) -> float | None:
@@ -211,9 +194,23 @@ def _wished_speed(slots: Slots, scene: Scene, lane: int | None) -> float | None:
     return None
 
 
-def _sentence(slots: Slots) -> str:
-    if slots.lane in ("left", "right"):
-        return f"Moving to the {slots.lane} lane when it is safe."
-    if slots.gap != "none":
-        return "I will keep more distance." if slots.gap == "farther" else "I will follow a little closer."
-    return {"faster": "I will drive faster.", "slower": "Slowing down."}.get(slots.speed, "All right.")
+def _wished_headway(slots: Slots, scene: Scene) -> float | None:
+    """Time gap [s] behind the lead; a wish to keep it means the one we have now, within what is safe."""
+    if slots.headway_s is not None:
+        return min(max(slots.headway_s, CLOSER_HEADWAY_S), MAX_HEADWAY_S)
+    if slots.gap == "keep":
+        if scene.lead is None or scene.speed_mps < 1.0:
+            return None
+        return min(max(scene.lead.gap_m / scene.speed_mps, CLOSER_HEADWAY_S), FARTHER_HEADWAY_S)
+    return {"closer": CLOSER_HEADWAY_S, "farther": FARTHER_HEADWAY_S}.get(slots.gap)
+
+
+def _key(slots: Slots) -> str:
+    """Which sentence describes the wish best."""
+    if slots.lane != "none":
+        return {"leftmost": "left", "rightmost": "right", "keep": "keep_lane"}.get(slots.lane, slots.lane)
+    if slots.overtake is False:
+        return "stay_behind"
+    if slots.gap != "none" or slots.headway_s is not None:
+        return {"farther": "farther", "closer": "closer"}.get(slots.gap, "keep_gap")
+    return slots.speed if slots.speed != "none" else "speed"

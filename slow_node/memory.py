@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sqlite3
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,8 @@ from slow_node.slots import Slots
 SEEDS = Path(__file__).with_name("examples.jsonl")
 MAX_LEARNT = 2000
 """The bank's bound: beyond it the oldest learnt example goes."""
+SAME_COSINE = 0.98
+"""A learnt command this near to another learnt one with the same decision is the same experience, and replaces it."""
 
 
 class _Seed(BaseModel):
@@ -39,24 +41,40 @@ class Example:
     command: str
     scene: str
     slots: Slots
-    seed: bool
+    outcome: str = "seed"
+    """What came of it: "seed" for what is shipped, else "fulfilled", "expired, held up by RULE", ..."""
+    took_s: float = 0.0
     cosine: float = 0.0
+    id: int = 0
+
+    @property
+    def seed(self) -> bool:
+        return self.outcome == "seed"
+
+    @property
+    def warning(self) -> str:
+        """What went wrong last time, for the prompt; "" where nothing did."""
+        return "" if self.outcome in ("seed", "fulfilled") else f"last time: {self.outcome}"
 
 
 class Memory:
-    """Open with a file's path, or with "" for a bank that ends with the process. Safe to call from any thread."""
+    """Open with a file's path, or with "" for a bank that ends with the process. Safe to call from any thread.
 
-    def __init__(self, embedder: Embedder, path: str = "", seeds: Path = SEEDS) -> None:
+    `seeds` None: nothing is planted. Raises `ConfigError` where the file cannot be used.
+    """
+
+    def __init__(self, embedder: Embedder, path: str = "", seeds: Path | None = SEEDS) -> None:
         self._embedder = embedder
         self._lock = threading.Lock()
         try:
             self._db = sqlite3.connect(path or ":memory:", check_same_thread=False)
             self._db.execute("PRAGMA journal_mode=WAL")
             self._db.execute(
-                "CREATE TABLE IF NOT EXISTS example (space TEXT, command TEXT, scene TEXT, slots TEXT, outcome TEXT,"
-                " vector BLOB, PRIMARY KEY (space, command))"
+                "CREATE TABLE IF NOT EXISTS experience (space TEXT, command TEXT, scene TEXT, slots TEXT, outcome TEXT,"
+                " took_s REAL, vector BLOB, PRIMARY KEY (space, command))"
             )
-            self._plant(seeds)
+            if seeds is not None:
+                self._plant(seeds)
             self._load()
         except sqlite3.Error as error:
             raise ConfigError(f"memory_path {path!r} cannot be used: {error}; give another path or remove it") from None
@@ -68,29 +86,48 @@ class Memory:
     def __len__(self) -> int:
         return len(self._examples)
 
+    def examples(self) -> list[Example]:
+        """The whole bank, oldest first."""
+        with self._lock:
+            return list(self._examples)
+
     def nearest(self, command: str, k: int) -> list[Example]:
-        """The k examples most similar to a command, best first."""
+        """M_t: the k examples most similar to a command, best first."""
+        if k <= 0 or not self._examples:
+            return []
         query = self._embed(command)
         with self._lock:
             cosines = self._vectors @ query
-            order = np.argsort(-cosines)[:k]
-            found = [self._examples[i] for i in order]
-        return [
-            Example(e.command, e.scene, e.slots, e.seed, float(cosines[i])) for e, i in zip(found, order, strict=True)
-        ]
+            return [replace(self._examples[i], cosine=float(cosines[i])) for i in np.argsort(-cosines)[:k]]
 
-    def learn(self, command: str, scene: str, slots: Slots, outcome: str) -> None:
-        """Keep a decision that worked out. A command that the bank already knows is left as it is."""
+    def learn(self, command: str, scene: str, slots: Slots, outcome: str, took_s: float = 0.0) -> None:
+        """Keep a decision and what came of it. Seeds are left as they are; a like experience is replaced."""
         vector = self._embed(command)
         with self._lock:
-            self._insert(command, scene, slots, outcome, vector)
+            cosines = self._vectors @ vector
+            for index in np.flatnonzero(cosines > SAME_COSINE):
+                old = self._examples[index]
+                if not old.seed and old.slots.decision() == slots.decision():
+                    self._db.execute("DELETE FROM experience WHERE rowid = ?", (old.id,))
+            self._db.execute("DELETE FROM experience WHERE space = ? AND command = ? AND outcome != 'seed'",
+                             (self._embedder.name, command))
+            self._insert(command, scene, slots, outcome, took_s, vector)
             self._db.execute(
-                "DELETE FROM example WHERE rowid IN (SELECT rowid FROM example WHERE outcome != 'seed' AND space = ?"
-                " ORDER BY rowid DESC LIMIT -1 OFFSET ?)",
+                "DELETE FROM experience WHERE rowid IN (SELECT rowid FROM experience WHERE outcome != 'seed' AND"
+                " space = ? ORDER BY rowid DESC LIMIT -1 OFFSET ?)",
                 (self._embedder.name, MAX_LEARNT),
             )
             self._db.commit()
             self._load()
+
+    def forget(self, identity: int) -> bool:
+        """Remove one example by its id, until a seed is planted again; False where there is none."""
+        with self._lock:
+            gone = self._db.execute("DELETE FROM experience WHERE rowid = ? AND space = ?",
+                                    (identity, self._embedder.name)).rowcount > 0
+            self._db.commit()
+            self._load()
+        return gone
 
     def _embed(self, command: str) -> Vector:
         """E(.) without final punctuation, which moves a short command's vector by as much as a word does."""
@@ -99,7 +136,7 @@ class Memory:
     def _plant(self, seeds: Path) -> None:
         known = {
             command
-            for (command,) in self._db.execute("SELECT command FROM example WHERE space = ?", (self._embedder.name,))
+            for (command,) in self._db.execute("SELECT command FROM experience WHERE space = ?", (self._embedder.name,))
         }
         for number, line in enumerate(seeds.read_text(encoding="utf-8").splitlines(), 1):
             try:
@@ -107,19 +144,21 @@ class Memory:
             except ValidationError as error:
                 raise ConfigError(f"{seeds}:{number}: {error.errors()[0]['msg']}") from None
             if seed.command not in known:
-                self._insert(seed.command, seed.scene, seed.slots, "seed", self._embed(seed.command))
+                self._insert(seed.command, seed.scene, seed.slots, "seed", 0.0, self._embed(seed.command))
         self._db.commit()
 
-    def _insert(self, command: str, scene: str, slots: Slots, outcome: str, vector: Vector) -> None:
+    def _insert(self, command: str, scene: str, slots: Slots, outcome: str, took_s: float, vector: Vector) -> None:
         self._db.execute(
-            "INSERT OR IGNORE INTO example VALUES (?, ?, ?, ?, ?, ?)",
-            (self._embedder.name, command, scene, slots.compact(), outcome, vector.tobytes()),
+            "INSERT OR IGNORE INTO experience VALUES (?, ?, ?, ?, ?, ?, ?)",
+            (self._embedder.name, command, scene, slots.compact(), outcome, took_s, vector.tobytes()),
         )
 
     def _load(self) -> None:
         rows = self._db.execute(
-            "SELECT command, scene, slots, outcome, vector FROM example WHERE space = ? ORDER BY rowid",
+            "SELECT command, scene, slots, outcome, took_s, vector, rowid FROM experience WHERE space = ?"
+            " ORDER BY rowid",
             (self._embedder.name,),
         ).fetchall()
-        self._examples = [Example(c, s, Slots.model_validate_json(j), o == "seed") for c, s, j, o, _ in rows]
-        self._vectors = np.frombuffer(b"".join(r[4] for r in rows), np.float32).reshape(-1, DIMENSION)
+        self._examples = [
+            Example(c, s, Slots.model_validate_json(j), o, took, id=i) for c, s, j, o, took, _, i in rows]
+        self._vectors = np.frombuffer(b"".join(r[5] for r in rows), np.float32).reshape(-1, DIMENSION)

@@ -16,8 +16,9 @@ from schemas.process import Heartbeat, log
 from slow_node.config import SlowConfig
 from slow_node.deliberation import Call, Deliberation, Drop, Effect, Learn
 from slow_node.embedding import load_embedder
-from slow_node.memory import Memory
+from slow_node.memory import SEEDS, Memory
 from slow_node.model import ChatModel
+from slow_node.reader import Reader
 from slow_node.scene import describe, encode_scene
 from slow_node.thinking import Thinker, Verdict
 
@@ -41,7 +42,9 @@ class SlowNode:
 
     def figures(self) -> dict[str, float]:
         """For the heartbeat; called from its thread."""
-        return {**self._deliberation.figures, "calls": float(self._model.calls), "model_ms": self._model_ms}
+        return {**self._deliberation.figures, "calls": float(self._model.calls), "model_ms": self._model_ms,
+                "tokens": float(self._model.prompt_tokens + self._model.answer_tokens),
+                "cost_usd": self._model.cost_usd}
 
     async def run(self, stopped: Callable[[], bool] = lambda: False, heart: Heartbeat | None = None) -> None:
         """Until `stopped`, which tests use; a process is ended by its signals."""
@@ -113,18 +116,28 @@ class SlowNode:
 
     async def _learn(self, effect: Learn) -> None:
         await asyncio.to_thread(
-            self._memory.learn, effect.command, describe(effect.scene), effect.slots, "fulfilled")
+            self._memory.learn, effect.command, describe(effect.scene), effect.slots, effect.outcome, effect.took_s)
 
 
 def build(bus: Bus, config: SlowConfig) -> tuple[SlowNode, Memory]:
     """The node with its parts; the caller closes the memory."""
-    memory = Memory(load_embedder(), config.memory_path)
+    thinker, memory, model = build_thinker(config)
+    return SlowNode(bus, memory, model, thinker), memory
+
+
+def build_thinker(config: SlowConfig) -> tuple[Thinker, Memory, ChatModel]:
+    """What thinks, without the bus: the caller closes the memory and the model."""
+    embedder = load_embedder()
+    memory = Memory(embedder, config.memory_path, SEEDS if config.seeds else None)
     key = "" if config.embedded else os.environ.get(config.api_key_env, "")
     if not key and not config.embedded:
         log(NAME, "key", f"{config.api_key_env} is not set; calling {config.base_url} without a key")
     model = ChatModel(config.base_url, config.model, key, short=config.embedded)
-    thinker = Thinker(memory, model, short=config.embedded, k=config.k, budget_s=config.budget_s)
-    return SlowNode(bus, memory, model, thinker), memory
+    ask = config.ask if config.ask != "auto" else "unsure" if config.embedded else "always"
+    reader = Reader.load(embedder) if config.reader else None
+    thinker = Thinker(memory, model, reader, short=config.embedded, k=config.k, budget_s=config.budget_s,
+                      ask=ask)
+    return thinker, memory, model
 
 
 async def _until_signal(node: SlowNode, heart: Heartbeat) -> None:

@@ -7,12 +7,14 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-Outcome = Literal["directive", "refuse", "unclear"]
+Outcome = Literal["directive", "refused", "out_of_scope", "unclear"]
 Speed = Literal["faster", "slower", "keep", "stop", "none"]
-LaneWish = Literal["left", "right", "keep", "none"]
-Gap = Literal["closer", "farther", "none"]
+LaneWish = Literal["left", "right", "leftmost", "rightmost", "keep", "none"]
+Gap = Literal["closer", "farther", "keep", "none"]
 
 MAX_REASONING_CHARS = 80
+NO_DECISION = {"reasoning", "say", "language"}
+"""Fields that change nothing about what the car does."""
 
 
 class Slots(BaseModel):
@@ -26,24 +28,25 @@ class Slots(BaseModel):
     reasoning: str = Field(default="", max_length=400)
     outcome: Outcome
     speed: Speed = "none"
-    target_speed_mps: float | None = Field(default=None, ge=0, le=100, allow_inf_nan=False)
+    target_speed_mps: float | None = Field(default=None, ge=0, le=1000, allow_inf_nan=False)
     lane: LaneWish = "none"
     gap: Gap = "none"
-    overtake: bool = False
+    headway_s: float | None = Field(default=None, ge=0, le=60, allow_inf_nan=False)
+    overtake: bool | None = None
     cancel: bool = False
     say: str = Field(default="", max_length=300)
+    language: str = Field(default="en", exclude=True)
+    """Of the passenger's sentence, for our reply; told by the reader, never by the model."""
 
-    def decision(self) -> tuple[object, ...]:
+    def decision(self) -> dict[str, object]:
         """The slots that decide what the car does, for comparing two answers."""
         if self.outcome != "directive":
-            return (self.outcome,)
-        return (self.outcome, self.speed, self.lane, self.gap, self.overtake, self.cancel)
+            return {"outcome": self.outcome}
+        return self.model_dump(exclude=NO_DECISION)
 
     def wishes_nothing(self) -> bool:
         """A directive that asks for nothing at all."""
-        return (
-            self.decision() == ("directive", "none", "none", "none", False, False) and self.target_speed_mps is None
-        )
+        return self.decision() == Slots(outcome="directive").decision()
 
     def compact(self) -> str:
         """JSON of the slots that differ from their defaults: the shortest answer worth imitating."""
@@ -54,12 +57,13 @@ def answer_schema(short: bool) -> dict[str, Any]:
     """JSON schema of an answer. Short: unasked slots may be left out. Else all are required, as strict servers want."""
     properties: dict[str, Any] = {
         "reasoning": {"type": "string"},
-        "outcome": {"type": "string", "enum": ["directive", "refuse", "unclear"]},
+        "outcome": {"type": "string", "enum": ["directive", "refused", "out_of_scope", "unclear"]},
         "speed": {"type": "string", "enum": ["faster", "slower", "keep", "stop", "none"]},
         "target_speed_mps": {"type": ["number", "null"]},
-        "lane": {"type": "string", "enum": ["left", "right", "keep", "none"]},
-        "gap": {"type": "string", "enum": ["closer", "farther", "none"]},
-        "overtake": {"type": "boolean"},
+        "lane": {"type": "string", "enum": ["left", "right", "leftmost", "rightmost", "keep", "none"]},
+        "gap": {"type": "string", "enum": ["closer", "farther", "keep", "none"]},
+        "headway_s": {"type": ["number", "null"]},
+        "overtake": {"type": ["boolean", "null"]},
         "cancel": {"type": "boolean"},
         "say": {"type": "string"},
     }

@@ -180,7 +180,7 @@ def test_after_any_open_action_the_mask_can_still_avoid_a_lead_that_brakes_fully
         meta = first if tick == 0 else next(
             (a for a in (MetaAction.SPEED_UP, MetaAction.CRUISE, MetaAction.SLOW_DOWN) if rule[a] == OPEN),
             MetaAction.EMERGENCY_BRAKE)
-        target, _, _ = executor.edit_set_points(int(meta), target, 1, -1, 4, math.nan, 0.0, 28.0)
+        target, _, _ = executor.edit_set_points(int(meta), target, 1, -1, [], x, math.nan, 0.0, 28.0)
         accel = executor.acceleration_command(v, target, accel, int(meta), 1 / 15)
         v += accel / 15
         x += v / 15

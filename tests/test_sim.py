@@ -26,11 +26,12 @@ from sim_node.node import FAILSAFE_BRAKE_MPS2, SimNode
 from sim_node.scenarios import SCENARIOS
 
 DT = 1 / 15
+GATES = [(-1e9, 1e9, -1e9, 0.0)] * 2
 
 
 def edit(meta: MetaAction, speed: float = 5.0, lane: int = 1, previous: int = -1,
          goal: float = math.nan) -> tuple[float, int, int]:
-    return executor.edit_set_points(int(meta), speed, lane, previous, 2, goal, 0.0, 8.0)
+    return executor.edit_set_points(int(meta), speed, lane, previous, GATES, 0.0, goal, 0.0, 8.0)
 
 
 def act(node: SimNode, meta: MetaAction = MetaAction.CRUISE, tick: int | None = None, epoch: int | None = None,

@@ -23,14 +23,18 @@ from schemas import topics
 from schemas.bus import LocalBus, Subscription
 from schemas.messages import Directive, Event, Lane, Observation, Reply
 from slow_node.config import SlowConfig
-from slow_node.directive import ParseError, Plan, parse_answer, plan_of, unsafe
+from slow_node.directive import ParseError, Plan, parse_answer, plan_of
 from slow_node.embedding import HashedEmbedder, load_embedder
 from slow_node.memory import Memory
+from slow_node.model import Breaker, ChatModel, ModelError
 from slow_node.node import build
+from slow_node.prompt import build_prompt
+from slow_node.rules import unsafe
 from slow_node.scene import encode_scene
 from slow_node.slots import Slots
 
 FASTER = '{"reasoning":"in a hurry","outcome":"directive","speed":"faster","overtake":true}'
+FINAL = ("issued", "refused", "failed")
 SLOWER = '{"reasoning":"less","outcome":"directive","speed":"slower"}'
 
 
@@ -95,21 +99,26 @@ def bank(tmp_path_factory: pytest.TempPathFactory) -> str:
 Step = Callable[[LocalBus], None]
 
 
-def play(url: str, bank: str, *steps: Step, wait_s: float = 0.6, budget_s: float = 4.0) -> tuple[
-        list[Reply], list[Directive]]:
-    """Run the node on an in-process bus, one step every `wait_s`; what it published."""
+def play(url: str, bank: str, *steps: Step, wait_s: float = 0.6, budget_s: float = 4.0, embedded: bool = False,
+         reader: bool = False, until: tuple[str, ...] = ()) -> tuple[list[Reply], list[Directive]]:
+    """Run the node on an in-process bus, one step every `wait_s` or until such an outcome; what it published."""
     bus = LocalBus()
     replies, directives = bus.subscribe(topics.REPLY), bus.subscribe(topics.DIRECTIVE)
     seen: list[Directive] = []
-    node, memory = build(bus, SlowConfig(base_url=url, memory_path=bank, budget_s=budget_s))
+    heard: list[Reply] = []
+    node, memory = build(bus, SlowConfig(base_url=url, memory_path=bank, budget_s=budget_s, embedded=embedded,
+                                         reader=reader, api_key_env="FASTSLOW_NO_KEY"))
 
     async def run() -> None:
         stop = asyncio.Event()
         task = asyncio.create_task(node.run(stop.is_set))
         for step in steps:
             step(bus)
-            await asyncio.sleep(wait_s)
-            seen.extend(directives.take())
+            due = time.monotonic() + wait_s
+            while time.monotonic() < due and not (until and any(r.outcome in until for r in heard)):
+                await asyncio.sleep(0.05)
+                heard.extend(replies.take())
+                seen.extend(directives.take())
         stop.set()
         await task
 
@@ -117,7 +126,7 @@ def play(url: str, bank: str, *steps: Step, wait_s: float = 0.6, budget_s: float
         asyncio.run(run())
     finally:
         memory.close()
-    return replies.take(), seen
+    return [*heard, *replies.take()], [*seen, *directives.take()]
 
 
 def look(tick: int = 0, epoch: int = 1, lane: int = 1, x: float = 0.0) -> Step:
@@ -215,7 +224,7 @@ def test_overtaking_returns_and_ends_on_our_own_side(model: ScriptedModel, bank:
 
     replies, directives = play(
         model.url, bank, note, look(), say("I'm in a hurry"), look(1, lane=0, x=10), read, fulfilled(1),
-        look(2, lane=0, x=40), look(3, lane=1, x=45), read, fulfilled(3), wait_s=0.4)
+        look(2, lane=0, x=40), look(3, lane=1, x=45), read, fulfilled(3), wait_s=0.8)
     assert [d.target_lane for d in directives] == [0, 1]
     assert [r.outcome for r in replies] == ["heard", "issued", "issued", "fulfilled"]
 
@@ -228,11 +237,11 @@ def test_an_active_wish_survives_a_reset_of_the_world(model: ScriptedModel, bank
 
 def test_without_a_model_memory_answers_or_a_reason_is_given(bank: str) -> None:
     nobody = "http://127.0.0.1:9/v1"
-    replies, directives = play(nobody, bank, look(), say("please slow down"), wait_s=2.0)
+    replies, directives = play(nobody, bank, look_and_say("please slow down"), wait_s=9.0, until=FINAL)
     assert replies[-1].outcome == "issued"
     assert replies[-1].why.startswith("model unavailable: answered from memory")
     assert directives[0].manoeuvre == "cruise"
-    replies, directives = play(nobody, bank, look(), say("quantum marmalade trombone"), wait_s=2.0)
+    replies, directives = play(nobody, bank, look_and_say("quantum marmalade trombone"), wait_s=9.0, until=FINAL)
     assert replies[-1].outcome == "failed"
     assert "reached" in replies[-1].why
     assert not directives
@@ -240,14 +249,14 @@ def test_without_a_model_memory_answers_or_a_reason_is_given(bank: str) -> None:
 
 def test_a_paraphrase_finds_its_example(bank: str) -> None:
     memory = Memory(load_embedder(), bank)
-    assert memory.nearest("I need to catch my flight", 1)[0].slots.overtake
+    assert memory.nearest("would you slow down a little", 1)[0].slots.speed == "slower"
     memory.close()
     assert np.isclose(np.linalg.norm(HashedEmbedder().embed("anything")), 1.0)
 
 
 def test_gates() -> None:
     scene = encode_scene(observation())
-    faster = plan_of(Slots(outcome="directive", target_speed_mps=60.0), scene)
+    faster = plan_of(Slots(outcome="directive", target_speed_mps=14.0), scene)
     assert isinstance(faster, Plan)
     assert faster.target_speed_mps == 10.0
     assert not isinstance(plan_of(Slots(outcome="directive", lane="right"), scene), Plan)
@@ -255,12 +264,198 @@ def test_gates() -> None:
         parse_answer('{"outcome":"directive","speed":"ludicrous"}')
 
 
+CHAT = [{"role": "user", "content": "Command: \"go faster\""}]
+
+
+def answer(content: str = SLOWER, **message: object) -> tuple[int, dict[str, str], bytes]:
+    """A good HTTP answer of a chat server, with its count of tokens."""
+    body = {"choices": [{"message": {"content": content, **message}}], "usage": {"prompt_tokens": 7,
+        "completion_tokens": 3}}
+    return 200, {}, json.dumps(body).encode()
+
+
+class FaultyServer:
+    """Answers its n-th request with the n-th step (the last one for ever): an HTTP answer, or a named misbehaviour."""
+
+    def __init__(self, *steps: object) -> None:
+        self.bodies: list[dict[str, object]] = []
+        self.hung_up = threading.Event()
+        outer = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_POST(self) -> None:
+                outer.bodies.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
+                step = steps[min(len(outer.bodies), len(steps)) - 1]
+                self.close_connection = True
+                try:
+                    if step == "hang":
+                        self.connection.settimeout(20.0)
+                        if self.connection.recv(1) == b"":
+                            outer.hung_up.set()
+                        return
+                    if step == "disconnect":
+                        self.wfile.write(b"HTTP/1.1 200 OK\r\nContent-Length: 500\r\n\r\n{\"choices\": [{")
+                        return
+                    assert isinstance(step, tuple)
+                    status, headers, body = step
+                    self.send_response(status)
+                    for name, value in {**headers, "Content-Length": str(len(body))}.items():
+                        self.send_header(name, value)
+                    self.end_headers()
+                    self.wfile.write(body)
+                except OSError:
+                    pass
+
+            def log_message(self, *_: object) -> None:
+                pass
+
+        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.server.daemon_threads = True
+        self.url = f"http://127.0.0.1:{self.server.server_address[1]}/v1"
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+
+    def __enter__(self) -> FaultyServer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.server.shutdown()
+        self.server.server_close()
+
+
+def ask(server: FaultyServer, *, budget_s: float = 5.0, times: int = 1, breaker: Breaker | None = None) -> tuple[
+        list[str], ChatModel]:
+    """What `times` calls gave: the answer, or the error's class and text."""
+    outcomes: list[str] = []
+    model = ChatModel(server.url, "gpt-4o-mini", "a-key", short=False, breaker=breaker)
+
+    async def run() -> None:
+        for _ in range(times):
+            try:
+                outcomes.append(await model.complete(CHAT, {"type": "object"}, budget_s))
+            except ModelError as error:
+                outcomes.append(f"{type(error).__name__}: {error}")
+        await model.close()
+
+    asyncio.run(run())
+    return outcomes, model
+
+
+BUSY, BROKEN = (429, {"Retry-After": "0.2"}, b""), (500, {}, b"")
+BAD_REQUEST = (400, {}, b'{"error": "response_format is not supported"}')
+
+
+@pytest.mark.parametrize("fault", [BUSY, BROKEN, "disconnect", (200, {}, b'{"choices": [{"mess')],
+                         ids=["429", "500", "disconnect", "truncated"])
+def test_a_passing_fault_is_retried_within_the_budget(fault: object) -> None:
+    with FaultyServer(fault, answer()) as server:
+        outcomes, _ = ask(server)
+        assert outcomes == [SLOWER]
+        assert len(server.bodies) == 2
+
+
+def test_a_server_that_asks_for_too_long_a_pause_is_not_asked_again() -> None:
+    with FaultyServer((429, {"Retry-After": "60"}, b""), answer()) as server:
+        outcomes, _ = ask(server)
+        assert "429" in outcomes[0]
+        assert len(server.bodies) == 1
+
+
+def test_a_hanging_server_costs_the_budget_and_no_more() -> None:
+    with FaultyServer("hang") as server:
+        outcomes, _ = ask(server, budget_s=0.3)
+        assert outcomes == ["ModelTimeoutError: the model did not answer within 0.3 s"]
+        assert server.hung_up.wait(10)
+
+
+def test_answer_formats_fall_back_once_from_schema_to_object_to_plain_text() -> None:
+    with FaultyServer(BAD_REQUEST, BAD_REQUEST, answer()) as server:
+        outcomes, _ = ask(server, times=2)
+        kinds = [dict(body.get("response_format", {})).get("type") for body in server.bodies]  # type: ignore[call-overload]
+        assert outcomes == [SLOWER, SLOWER]
+        assert kinds == ["json_schema", "json_object", None, None]
+
+
+def test_a_refusal_of_the_model_is_an_error_and_not_an_answer() -> None:
+    with FaultyServer(answer("", refusal="I cannot help with that")) as server:
+        assert ask(server)[0] == ["ModelRefusedError: the model declined to answer"]
+
+
+def test_a_wrong_key_is_not_retried_and_never_quoted() -> None:
+    with FaultyServer((401, {}, b"")) as server:
+        outcomes, _ = ask(server)
+        assert "401" in outcomes[0]
+        assert "a-key" not in outcomes[0]
+        assert len(server.bodies) == 1
+
+
+def test_tokens_and_their_price_are_counted() -> None:
+    with FaultyServer(answer()) as server:
+        _, model = ask(server, times=2)
+        assert (model.prompt_tokens, model.answer_tokens) == (14, 6)
+        assert model.cost_usd == pytest.approx(14 * 0.15e-6 + 6 * 0.60e-6)
+
+
+def test_the_breaker_opens_after_three_failures_and_closes_after_a_good_probe() -> None:
+    now = [0.0]
+    breaker = Breaker(lambda: now[0])
+    with FaultyServer(*[(401, {}, b"")] * 4, answer()) as server:
+        outcomes, _ = ask(server, times=4, breaker=breaker)
+        assert "left alone" in outcomes[3]
+        assert len(server.bodies) == 3
+        now[0] = 6.0
+        assert "401" in ask(server, times=2, breaker=breaker)[0][0]  # the probe fails: open again, twice as long
+        assert len(server.bodies) == 4
+        now[0] = 17.0
+        assert ask(server, times=2, breaker=breaker)[0] == [SLOWER, SLOWER]
+
+
+def test_a_superseded_thought_hangs_up(bank: str) -> None:
+    with FaultyServer("hang", answer()) as server:
+        replies, _ = play(server.url, bank, look(), say("first things first"), say("a little slower"))
+        assert [r.outcome for r in replies] == ["heard", "heard", "superseded", "issued"]
+        assert server.hung_up.wait(10)
+
+
+UNUSABLE = {"truncated": '{"outcome": "directive", "spe', "none": "",
+            "wrong schema": '{"outcome": "directive", "velocity": 3}'}
+
+
+@pytest.mark.parametrize("content", UNUSABLE.values(), ids=UNUSABLE.keys())
+def test_an_unusable_answer_is_repaired_with_the_error_named(content: str, bank: str) -> None:
+    with FaultyServer(answer(content), answer()) as server:
+        replies, directives = play(server.url, bank, look(), say("a little slower"))
+        assert [r.outcome for r in replies] == ["heard", "issued"]
+        assert "cannot be used" in json.dumps(server.bodies[1])
+        assert [d.manoeuvre for d in directives] == ["cruise"]
+
+
+def test_memory_keeps_outcomes_merges_likes_warns_and_stays_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slow_node.memory.MAX_LEARNT", 3)
+    memory = Memory(HashedEmbedder())
+    shipped = len(memory)
+    slower = Slots(outcome="directive", speed="slower")
+    memory.learn("take the scenic pace", "two-way", slower, "fulfilled", 2.0)
+    memory.learn("take the scenic pace!", "two-way", slower, "expired, held up by rear gap", 30.0)
+    assert len(memory) == shipped + 1
+    recalled = memory.nearest("take the scenic pace", 1)[0]
+    assert (recalled.took_s, recalled.warning) == (30.0, "last time: expired, held up by rear gap")
+    prompt = build_prompt("take the scenic pace", "two-way", [recalled], {}, short=True)
+    assert "held up by rear gap" in prompt[1]["content"]
+    for word in ("alpha", "beta", "gamma", "delta"):
+        memory.learn(f"{word} pace", "two-way", slower, "fulfilled")
+    assert len(memory) == shipped + 3
+    newest = memory.examples()[-1]
+    assert memory.forget(newest.id)
+    assert not memory.forget(newest.id)
+    memory.close()
+
+
 def test_the_embedded_model_understands_a_hurry(bank: str) -> None:
     pytest.importorskip("xllamacpp")
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    server = subprocess.Popen([sys.executable, "-m", "slow_node.embedded", json.dumps({"port": port})],
+    server = subprocess.Popen([sys.executable, "-m", "slow_node.embedded", json.dumps({"port": port, "polite": False})],
                               stderr=subprocess.DEVNULL)
     try:
         for _ in range(100):
@@ -271,10 +466,10 @@ def test_the_embedded_model_understands_a_hurry(bank: str) -> None:
                 time.sleep(0.2)
         replies, directives = play(
             f"http://127.0.0.1:{port}/v1", bank, look_and_say("I'm in a hurry to get to work, I want to drive faster"),
-            wait_s=12.0, budget_s=9.0)
+            wait_s=40.0, budget_s=35.0, embedded=True, until=FINAL)
     finally:
         server.terminate()
-        assert server.wait(10) == 0
+        assert server.wait(30) == 0
     assert replies[-1].outcome == "issued", replies[-1].why
     assert "from memory" not in replies[-1].why
     assert directives[0].manoeuvre == "overtake"

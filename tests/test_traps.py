@@ -167,16 +167,16 @@ def test_cars_start_behind_the_ego_too(name: str) -> None:
 
 def test_a_second_of_reward_is_of_the_size_of_one() -> None:
     one = np.asarray
-    best = reward(one(28.0), one(28.0), 14.0, one(0.0), one(False), one(True), one(100.0), one(False), one(False))
-    worst = reward(one(0.0), one(28.0), 14.0, one(36.0), one(True), one(False), one(0.0), one(True), one(True))
+    best = reward(one(28.0), one(28.0), 14.0, one(0.0), one(False), one(True), one(100.0), one(0.0), one(False), one(False))
+    worst = reward(one(0.0), one(28.0), 14.0, one(36.0), one(True), one(False), one(0.0), one(1.0), one(True), one(True))
     assert 0.05 < best < 0.2
     assert -2.0 < worst < -1.0
 
 
 def test_parking_in_the_wished_lane_earns_less_than_driving_outside_it() -> None:
     one = np.asarray
-    parked = reward(one(0.0), one(8.0), 4.0, one(0.0), one(False), one(True), one(100.0), one(False), one(False))
-    driven = reward(one(7.5), one(8.0), 4.0, one(0.1), one(True), one(False), one(9.0), one(False), one(False))
+    parked = reward(one(0.0), one(8.0), 4.0, one(0.0), one(False), one(True), one(100.0), one(0.0), one(False), one(False))
+    driven = reward(one(7.5), one(8.0), 4.0, one(0.1), one(True), one(False), one(9.0), one(0.0), one(False), one(False))
     assert parked < 0 < driven
 
 

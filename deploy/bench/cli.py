@@ -110,13 +110,15 @@ def sim(
     policy_hz: Annotated[list[int] | None, typer.Option(
         help="Decisions a second, a divisor of 15; may be repeated.", show_default="15, 5 and 1")] = None,
     variant: Annotated[list[str] | None, typer.Option(
-        metavar="VARIANT", help="batched, accelerated, stock or envpool; may be repeated.",
+        metavar="VARIANT", help="batched, accelerated, stock, envpool or training; may be repeated.",
         show_default="all that are installed")] = None,
     seconds: Annotated[float, typer.Option(min=0.1, help="CPU time of each contender in each setting.")] = 6.0,
+    load: Annotated[str, typer.Option(help="Beside what: none, or llm (the embedded model without pause).")] = "none",
     as_json: Json = False,
 ) -> None:
     """Compare our simulator's engines with stock highway-env and EnvPool: ticks per CPU second, latency, parity."""
     from deploy.bench import sim as bench
+    from schemas.process import ConfigError
 
     def progress(doing: str) -> None:
         typer.echo(f"fastslow: {doing}", err=True)
@@ -124,7 +126,9 @@ def sim(
     try:
         result = bench.bench_sim(
             seconds=seconds, vehicles=vehicles or bench.VEHICLES, policy_hz=policy_hz or bench.POLICY_HZ,
-            names=variant or None, progress=progress)
+            names=variant or None, load=load, progress=progress)
+    except ConfigError as error:
+        raise _fail(error) from None
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
     typer.echo(json.dumps(result) if as_json else bench.table(result))

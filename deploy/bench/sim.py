@@ -9,6 +9,10 @@ anew after `EPISODE_S`; resets are not counted. They take turns, so that a machi
 * envpool: its own highway-v0 with as many vehicles, `SCENES` scenes in one call on one thread, with observation and
   reward; its own traffic, so no state to compare, and a crash starts an episode anew.
 
+* training: `Scenes` of our highway (about 24 cars) behind the mask: a decision has its observation, reward, metrics and
+  resets.
+
+With `load`, the embedded language model answers without pause on the same machine meanwhile.
 `*_per_cpu_s` are of one core's time (`process_time`); `p50_ms` and `p99_ms` are the wall time of one decision, of
 `batched` and `envpool` for all their scenes.
 """
@@ -16,14 +20,24 @@ anew after `EPISODE_S`; resets are not counted. They take turns, so that a machi
 from __future__ import annotations
 
 import importlib.util
+import json
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from schemas.process import ConfigError
 
 if TYPE_CHECKING:
     from sim_node.engine.batched import BatchedRoads
@@ -34,8 +48,11 @@ EPISODE_S = 20
 SCENES = 64
 VEHICLES = (20, 50)
 POLICY_HZ = (15, 5, 1)
-VARIANTS = ("batched", "accelerated", "stock", "envpool")
+VARIANTS = ("batched", "accelerated", "stock", "envpool", "training")
+LOADS = ("none", "llm")
 ACTIONS = 5
+OURS = 24
+"""Cars on our highway, in the mean."""
 PARITY_S = 4.0
 
 
@@ -99,6 +116,80 @@ class _EnvPool:
         self._env.step(action.astype(np.int32))
 
 
+class _Training:
+    """What learns at this rate, with everything that it costs but the network."""
+
+    def __init__(self, scenes: int, policy_hz: int) -> None:
+        from deploy.evaluate import task_of
+        from fast_node.training.rollout import Scenes
+        from sim_node.engine.batched import Batched
+        from sim_node.metrics import Recorder
+        from sim_node.scenarios import SCENARIOS
+
+        self.scenes = scenes
+        scenario = SCENARIOS["highway"]
+        self._world = Batched(scenario, scenes, 1)
+        self._scenes = Scenes(self._world, task_of(scenario), 1, HZ // policy_hz)
+        self._recorder = Recorder(scenario, scenes, policy_hz)
+        self._all = np.ones(scenes, np.bool_)
+
+    def reset(self, episode: int) -> None:
+        """Scenes reset themselves within `decide`."""
+
+    def decide(self, action: NDArray[np.int64]) -> None:
+        world = self._world
+        self._scenes.observe()
+        _, terminated, truncated = self._scenes.decide(action)
+        self._recorder.tick(world.rows, world.accel, world.target_lane, world.previous_lane, world.crashed, self._all)
+        if (ended := terminated | truncated).any():
+            self._scenes.reset(ended)
+            self._recorder.restart(ended)
+
+
+@contextmanager
+def loaded(load: str, folder: Path) -> Iterator[None]:
+    """Keep the embedded language model answering for the time of the block; "none": nothing.
+
+    Raises ConfigError where the model cannot be started.
+    """
+    if load == "none":
+        yield
+        return
+    import httpx
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    log = (folder / "llm.log").open("w")
+    model = subprocess.Popen([sys.executable, "-m", "slow_node.embedded", json.dumps({"port": port})], stderr=log)
+    stop = threading.Event()
+    body = {"max_tokens": 64, "messages": [{"role": "user", "content": "Tell me how to drive on a country road."}]}
+
+    def ask() -> None:
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}/v1", timeout=120.0, trust_env=False) as client:
+            while not stop.is_set():
+                try:
+                    client.post("/chat/completions", json=body)
+                    answered.set()
+                except httpx.HTTPError:
+                    stop.wait(0.5)
+
+    answered = threading.Event()
+    asker = threading.Thread(target=ask, daemon=True)
+    asker.start()
+    try:
+        while not answered.wait(0.5):
+            if model.poll() is not None:
+                raise ConfigError(f"the language model did not start: see {folder}/llm.log")
+        yield
+    finally:
+        stop.set()
+        model.kill()
+        model.wait()
+        asker.join(5.0)
+        log.close()
+
+
 @dataclass
 class _Account:
     contender: Contender
@@ -137,6 +228,7 @@ def _contenders(names: Sequence[str], vehicles: int, policy_hz: int, scenes: int
         "accelerated": lambda: _Environment(accelerate(kind), vehicles, policy_hz),
         "stock": lambda: _Environment(kind, vehicles, policy_hz),
         "envpool": lambda: _EnvPool(vehicles, policy_hz, scenes),
+        "training": lambda: _Training(scenes, policy_hz),
     }
     return {name: _Account(makers[name]()) for name in names}
 
@@ -151,7 +243,8 @@ def _differences(vehicles: int, names: Sequence[str]) -> dict[str, float | None]
 
 def bench_sim(
     *, seconds: float = 6.0, turns: int = 4, vehicles: Sequence[int] = VEHICLES, policy_hz: Sequence[int] = POLICY_HZ,
-    names: Sequence[str] | None = None, scenes: int = SCENES, progress: Callable[[str], None] = lambda _: None,
+    names: Sequence[str] | None = None, scenes: int = SCENES, load: str = "none",
+    progress: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """{"schema", "rows"}; a row per variant, number of vehicles and decision rate.
 
@@ -162,17 +255,21 @@ def bench_sim(
     chosen = tuple(names) if names is not None else variants()
     if unknown := sorted(set(chosen) - set(variants())):
         raise ValueError(f"{', '.join(unknown)}: choose from {', '.join(variants())}")
+    if load not in LOADS:
+        raise ValueError(f"load {load!r}: choose from {', '.join(LOADS)}")
     if set(vehicles) - set(VEHICLES):
         raise ValueError(f"vehicles {sorted(set(vehicles) - set(VEHICLES))}: choose from {VEHICLES}")
     if wrong := [hz for hz in policy_hz if hz < 1 or HZ % hz]:
         raise ValueError(f"policy_hz {wrong[0]} does not divide {HZ}")
     rows = []
-    for count in vehicles:
-        differences = _differences(count, chosen)
-        for hz in policy_hz:
-            progress(f"{count} vehicles, {hz} decisions a second")
-            rows += list(_measure(chosen, count, hz, seconds, turns, scenes, differences))
-    return {"schema": SCHEMA, "rows": rows}
+    with tempfile.TemporaryDirectory() as folder, loaded(load, Path(folder)):
+        for count in vehicles:
+            differences = _differences(count, chosen)
+            here = tuple(n for n in chosen if n != "training" or count == min(vehicles))
+            for hz in policy_hz:
+                progress(f"{count} vehicles, {hz} decisions a second")
+                rows += list(_measure(here, count, hz, seconds, turns, scenes, differences))
+    return {"schema": SCHEMA, "load": load, "rows": rows}
 
 
 def _measure(
@@ -195,7 +292,8 @@ def _measure(
         per_s = account.decisions / account.cpu_s
         p50, p99 = np.percentile(account.wall_ms, (50, 99))
         yield {
-            "variant": name, "scenario": "highway-v0", "vehicles": vehicles, "policy_hz": hz,
+            "variant": name, "scenario": "highway" if name == "training" else "highway-v0",
+            "vehicles": OURS if name == "training" else vehicles, "policy_hz": hz,
             "ticks_per_cpu_s": per_s * HZ / hz, "decisions_per_cpu_s": per_s, "p50_ms": float(p50),
             "p99_ms": float(p99), "max_state_difference": differences[name],
         }

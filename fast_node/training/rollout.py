@@ -20,7 +20,7 @@ from fast_node.choice import HELD, MASKED
 from schemas import features, measures, wish
 from schemas.features import FEATURES, N_ROWS, Array
 from schemas.messages import POLICY_ACTIONS, MetaAction
-from schemas.reward import reward
+from schemas.reward import reward, shortfall
 from schemas.wish import ANY_LANE
 
 DECISION_TICKS = 15
@@ -61,14 +61,18 @@ _invite = numba.njit(_copy_of(choice).invite)
 @numba.njit  # type: ignore[untyped-decorator]
 def _look_all(
     rows: Any, lanes: Any, target_speed: Any, target_lane: Any, previous: Any, sight: float, told_lane: Any,
-    pass_id: Any, near: Any, rule: Any, vehicle: Any, wish_lane: Any, ttc: Any,
+    pass_id: Any, headway: Any, near: Any, rule: Any, vehicle: Any, wish_lane: Any, ttc: Any, short: Any,
 ) -> None:
     for s in range(rows.shape[0]):
         _close(rows[s], lanes[s], target_speed[s], target_lane[s], previous[s], sight, near[s], rule[s], vehicle[s])
         wish_lane[s] = told_lane[s] if pass_id[s] < 0 else _wished_lane(rows[s], told_lane[s], pass_id[s])
         _invite(rule[s], lanes[s], target_lane[s], wish_lane[s])
         ttc[s] = TTC_CAP_S
+        short[s] = 0.0
         ego = rows[s, 0]
+        lead = near[s, 3 * target_lane[s]]
+        if lead >= 0:
+            short[s] = _shortfall(rows[s, lead, 1] - ego[1] - 0.5 * (rows[s, lead, 6] + ego[6]), ego[3], headway[s])
         for lane in (int(ego[8]), target_lane[s]):
             for k in (0, 2):
                 i = near[s, 3 * lane + k]
@@ -80,6 +84,7 @@ def _look_all(
 
 
 _features = numba.njit(features.policy_input)
+_shortfall = numba.njit(shortfall)
 
 
 @numba.njit  # type: ignore[untyped-decorator]
@@ -142,25 +147,28 @@ class Fleet:
         s, n = len(world.rows), len(task.lanes)
         self.lanes = np.repeat(task.lanes[None], s, axis=0)
         self.rule, self.vehicle = np.zeros((s, 6), np.int64), np.zeros((s, 6), np.int64)
+        self._rows = world.rows.astype(np.float64)  # the node computes with Python's floats: here the same numbers
         self._near = np.zeros((s, 3 * n), np.int64)
         self._order = np.zeros(world.rows.shape[1], np.int64)
         self.told_lane, self.pass_id = np.full(s, ANY_LANE), np.full(s, -1)
         self.v_des, self.headway = np.zeros(s), np.full(s, 1.5)
         self.wish = np.full(s, ANY_LANE)
-        self.ttc_s = np.full(s, TTC_CAP_S)
+        self.ttc_s, self.short = np.full(s, TTC_CAP_S), np.zeros(s)
 
     def look(self) -> None:
         """Mask, wishes and time to collision of the present state."""
         w = self.world
         self.lanes[:, :, 0] = w.lane_y
-        _look_all(w.rows, self.lanes, w.target_speed, w.target_lane, w.previous_lane, self.task.sight_m,
-                  self.told_lane, self.pass_id, self._near, self.rule, self.vehicle, self.wish, self.ttc_s)
+        self._rows[:] = w.rows
+        _look_all(self._rows, self.lanes, w.target_speed, w.target_lane, w.previous_lane, self.task.sight_m,
+                  self.told_lane, self.pass_id, self.headway, self._near, self.rule, self.vehicle, self.wish, self.ttc_s,
+                  self.short)
 
     def observe(self) -> Array:
-        """Policy input (S, N, F)."""
+        """Policy input (S, N, F) of what `look` saw last."""
         w = self.world
         out = np.empty((len(self.wish), N_ROWS, len(FEATURES)), np.float32)
-        _observe_all(w.rows, self.lanes, self.wish, self.v_des, self.headway, w.target_speed, w.target_lane,
+        _observe_all(self._rows, self.lanes, self.wish, self.v_des, self.headway, w.target_speed, w.target_lane,
                      w.previous_lane, self._order, out)
         return out
 
@@ -175,9 +183,10 @@ class Fleet:
 class Scenes(Fleet):
     """A fleet with random directives, stepped one decision at a time: what the learner learns in."""
 
-    def __init__(self, world: World, task: Task, seed: int) -> None:
+    def __init__(self, world: World, task: Task, seed: int, decision_ticks: int = DECISION_TICKS) -> None:
         super().__init__(world, task)
         self._rng = np.random.default_rng(seed)
+        self._ticks = decision_ticks
         s = len(world.rows)
         self.age = np.zeros(s, np.int64)
         self.returns = np.zeros(s)
@@ -200,13 +209,13 @@ class Scenes(Fleet):
         return np.asarray(self.rule[:, :POLICY_ACTIONS] == mask.OPEN)
 
     def decide(self, action: Ints) -> tuple[NDArray[np.float32], Bools, Bools]:
-        """One second: the action first, then held unless the mask closes that: reward, terminated, truncated."""
+        """One decision: the action first, then held unless the mask closes that: reward, terminated, truncated."""
         w = self.world
         s = len(action)
         each = np.arange(s)
-        braked, effort, ttc = np.zeros(s, np.bool_), np.zeros(s), np.full(s, TTC_CAP_S)
+        braked, effort, short, ttc = np.zeros(s, np.bool_), np.zeros(s), np.zeros(s), np.full(s, TTC_CAP_S)
         start_x = w.rows[:, 0, 1].copy()
-        for k in range(DECISION_TICKS):
+        for k in range(self._ticks):
             is_open = self.rule == mask.OPEN
             meta = action if k == 0 else np.full(s, MetaAction.CRUISE)
             fine = is_open[each, meta]
@@ -219,16 +228,18 @@ class Scenes(Fleet):
             effort += w.accel**2
             self.look()
             ttc = np.minimum(ttc, self.ttc_s)
+            short += self.short / self._ticks
         self.age += 1
-        speed = (w.rows[:, 0, 1] - start_x).astype(np.float64)
-        earned = reward(
-            speed, self.v_des, self.task.speed_range, effort / DECISION_TICKS, action != MetaAction.CRUISE,
-            (self.wish == ANY_LANE) | (w.target_lane == self.wish), ttc, braked, w.crashed)
+        seconds = self._ticks / DECISION_TICKS
+        speed = (w.rows[:, 0, 1] - start_x).astype(np.float64) / seconds
+        earned = np.float32(seconds) * reward(
+            speed, self.v_des, self.task.speed_range, effort / self._ticks, action != MetaAction.CRUISE,
+            (self.wish == ANY_LANE) | (w.target_lane == self.wish), ttc, short, braked, w.crashed)
         over = self.over()
         terminated = w.crashed.copy()
         # The goal and the road's end cut an episode off: what would come after is worth what the value says.
-        truncated = ((self.age * DECISION_TICKS >= self.task.duration_ticks) | over) & ~terminated
-        again = (self._rng.random(s) < 0.03) & ~terminated & ~truncated
+        truncated = ((self.age * self._ticks >= self.task.duration_ticks) | over) & ~terminated
+        again = (self._rng.random(s) < 0.03 * seconds) & ~terminated & ~truncated
         if again.any():
             self._direct(again)
             self.look()

@@ -59,13 +59,13 @@ class Batched:
 
         Raises ValueError for another ego.
         """
-        from sim_node.env import _network  # highway-env's environments import this package
+        from sim_node.env import network as network_of  # highway-env's environments import this package
 
         if ego not in ("executor", "idm"):
             raise ValueError(f"ego {ego!r} is neither 'executor' nor 'idm'")
         self.scenario, self.scenes = scenario, scenes
         self._kind = kernel.EXECUTOR if ego == "executor" else kernel.TRAFFIC
-        network = _network(scenario)
+        network = network_of(scenario)
         self._tables = tables.read(network, scenario.connected_lanes)
         self._pieces = scenario.pieces()
         self._lane_of_piece = _lanes_of_pieces(scenario, self._tables)
@@ -75,7 +75,7 @@ class Batched:
         self._f, self._g = np.zeros((scenes, kernel.FLOATS, n)), np.zeros((scenes, kernel.INTS, n), np.int64)
         self._scratch, self._calls = kernel.new_scratch(n, len(self._tables.lanes)), kernel.new_calls()
         bounds = scenario.ego
-        self._ego = new_ego(scenes, np.array([0.0, 1.0]), True, self._pieces, lanes_n, bounds.speed_floor_mps,
+        self._ego = new_ego(scenes, np.array([0.0, 1.0]), True, self._pieces, scenario.gates(), bounds.speed_floor_mps,
                             bounds.speed_ceiling_mps)
         self.rows = np.zeros((scenes, vehicles, len(ROW_COLUMNS)), np.float32)
         self.lane_y = np.zeros((scenes, lanes_n))
@@ -191,10 +191,10 @@ def _published(scenario: Scenario) -> Floats:
 
 def _lanes_of_pieces(scenario: Scenario, known: tables.Tables) -> Ints:
     """(P,) the network's lane of each piece, in the direction of its traffic."""
-    from sim_node.env import _lane_index
+    from sim_node.env import lane_index
 
     return np.array([
-        known.number[_lane_index(scenario, lane, piece.start_m)]
+        known.number[lane_index(scenario, lane, piece.start_m)]
         for lane, plan in enumerate(scenario.lanes) for piece in plan.pieces])
 
 

@@ -38,14 +38,15 @@ NO_VIEW = View(np.zeros((0, 0, 9), np.float32), np.zeros((0, 3)), np.zeros((0, 0
 
 
 def new_ego(scenes: int, speeds: NDArray[np.float64], freezes: bool = False, pieces: NDArray[np.float64] | None = None,
-            lanes_n: int = 0, floor: float = 0.0, ceiling: float = 0.0) -> Ego:
+            gates: NDArray[np.float64] | None = None, floor: float = 0.0, ceiling: float = 0.0) -> Ego:
     """Egos at rest; see `Ego` for the fields."""
     return Ego(
         meta=np.zeros(scenes, np.int64), speed_goal=np.full(scenes, np.nan), target_speed=np.zeros(scenes),
         target_lane=np.zeros(scenes, np.int64), previous_lane=np.full(scenes, -1, np.int64), accel=np.zeros(scenes),
         crashed=np.zeros(scenes, np.bool_), ticks=np.zeros(scenes, np.int64), speeds=speeds,
         # Exactly these types: with an int for a float numba would compile anew, in the middle of a drive.
-        pieces=np.zeros((1, 7)) if pieces is None else np.ascontiguousarray(pieces, np.float64), lanes_n=int(lanes_n),
+        pieces=np.zeros((1, 7)) if pieces is None else np.ascontiguousarray(pieces, np.float64),
+        gates=np.zeros((1, 4)) if gates is None else np.ascontiguousarray(gates, np.float64),
         floor=float(floor), ceiling=float(ceiling), freezes=freezes)
 
 
@@ -168,7 +169,7 @@ class Bridge:
         first = everything[0]
         if kinds[0] == kernel.EXECUTOR:
             bounds = first.scenario.ego
-            self.ego = new_ego(1, _NO_SPEEDS, False, first.pieces, len(first.scenario.lanes), bounds.speed_floor_mps,
+            self.ego = new_ego(1, _NO_SPEEDS, False, first.pieces, first.gates, bounds.speed_floor_mps,
                                bounds.speed_ceiling_mps)
         else:
             self.ego = new_ego(1, first.target_speeds.astype(np.float64) if kinds[0] == kernel.MDP else _NO_SPEEDS)

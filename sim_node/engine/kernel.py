@@ -13,6 +13,7 @@ import hashlib
 import math
 from collections.abc import Callable
 from pathlib import Path
+from types import FunctionType
 from typing import Any, NamedTuple
 
 import numba
@@ -132,7 +133,8 @@ class Ego(NamedTuple):
     """Target speeds of an MDP ego, evenly spaced."""
     pieces: NDArray[np.float64]
     """(P, 7) as `Scenario.pieces`."""
-    lanes_n: int
+    gates: NDArray[np.float64]
+    """(L, 4) as `Scenario.gates`."""
     floor: float
     ceiling: float
     freezes: bool
@@ -169,7 +171,12 @@ def new_scratch(vehicles: int, lanes: int) -> Scratch:
         np.zeros(lanes, np.int64), np.zeros((lanes, vehicles), np.int64), np.zeros((lanes, vehicles)))
 
 
-_edit_set_points = jit(executor.edit_set_points)
+def _with(function: Any, **compiled: Any) -> Any:
+    """A copy of a plain function that calls these compiled ones instead of the plain ones of the same names."""
+    return FunctionType(function.__code__, {**function.__globals__, **compiled}, function.__name__)
+
+
+_edit_set_points = jit(_with(executor.edit_set_points, lane_beside=jit(executor.lane_beside)))
 _acceleration_command = jit(executor.acceleration_command)
 _steering_command = jit(executor.steering_command)
 _change_finished = jit(executor.change_finished)
@@ -692,8 +699,8 @@ def _begin(calls: Any, roads: Any, ego: Ego, f: Any, g: Any, scene: int, action:
     elif g[KIND, 0] == EXECUTOR:
         ego.meta[scene] = action
         ego.target_speed[scene], ego.target_lane[scene], ego.previous_lane[scene] = _edit_set_points(
-            action, ego.target_speed[scene], ego.target_lane[scene], ego.previous_lane[scene], ego.lanes_n,
-            ego.speed_goal[scene], ego.floor, ego.ceiling)
+            action, ego.target_speed[scene], ego.target_lane[scene], ego.previous_lane[scene], ego.gates,
+            f[X, 0], ego.speed_goal[scene], ego.floor, ego.ceiling)
     elif not np.isnan(ego.speed_goal[scene]):  # an IDM ego takes no actions, but knows how fast it is to be
         ego.target_speed[scene] = ego.speed_goal[scene]
 

@@ -180,6 +180,13 @@ class Scenario:
             for lane, plan in enumerate(self.lanes) for p in plan.pieces
         ])
 
+    def gates(self) -> NDArray[np.float64]:
+        """(L, 4) start, end, change_from, is a ramp (0 or 1): where lane changes are possible at all."""
+        return np.array([
+            (plan.pieces[0].start_m, plan.pieces[-1].end_m, plan.change_from_m, plan.kind == "ramp")
+            for plan in self.lanes
+        ], np.float64)
+
     def lanes_at(self, x_m: float) -> tuple[Lane, ...]:
         """The lanes as they are published to an ego at `x_m`."""
         table = self.pieces()

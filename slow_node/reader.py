@@ -1,0 +1,143 @@
+"""The reader: slots from a sentence by classification, in ten milliseconds and with calibrated probabilities.
+
+Linear heads on the token vectors of MiniLM (adapted by a low-rank delta, mean and maximum pooled) and on a hidden layer
+over hashed character and word n-grams, which know spelling and the languages that MiniLM hardly knows. Numbers are
+read by rule (`slow_node.numbers`); a head only says what a number is for.
+`python -m slow_node.training.train` trains it.
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slow_node.embedding import Embedder, MiniLmEmbedder
+from slow_node.numbers import Quantity, fold, quantities
+from slow_node.slots import Slots
+
+HEADS: dict[str, tuple[str, ...]] = {
+    "outcome": ("directive", "refused", "out_of_scope", "unclear"),
+    "speed": ("none", "faster", "slower", "keep", "stop"),
+    "lane": ("none", "left", "right", "leftmost", "rightmost", "keep"),
+    "gap": ("none", "closer", "farther", "keep"),
+    "overtake": ("none", "true", "false"),
+    "cancel": ("false", "true"),
+    "number": ("none", "speed", "delta", "limit", "headway"),
+    "language": ("en", "de", "fr", "es", "it", "pt", "nl", "other"),
+}
+"""Every head with its classes, the default first."""
+BUCKETS = 1 << 15
+LIKELY = 0.2
+"""A directive's wish must be this likely to be acted on where every slot is more likely unasked."""
+
+
+def grams(text: str) -> NDArray[np.int64]:
+    """Buckets of a text's word uni-, bi- and trigrams and character 3- to 5-grams, each once; never empty."""
+    words = ["^", *re.findall(r"\d+|[^\W\d_]+|[?!]", re.sub(r"\d", "0", fold(text))), "$"]
+    found = {" ".join(words[i : i + n]) for n in (1, 2, 3) for i in range(len(words) - n + 1)}
+    for word in words[1:-1]:
+        marked = f"<{word}>"
+        found |= {"#" + marked[i : i + n] for n in (2, 3, 4, 5) for i in range(len(marked) - n + 1)}
+    return np.fromiter(sorted({zlib.crc32(g.encode()) % BUCKETS for g in found}), np.int64)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the reader makes of a sentence."""
+
+    slots: Slots
+    confidence: float
+    """Probability that every chosen class is right, were the heads independent."""
+    refused: float
+    """Probability that the command is unsafe or an attempt on the system's rules."""
+
+
+class Reader:
+    """Reads a sentence. `load` gives None where MiniLM or the trained weights are not there."""
+
+    def __init__(self, embedder: MiniLmEmbedder) -> None:
+        self._embedder = embedder
+        self._w = embedder.delta
+
+    @classmethod
+    def load(cls, embedder: Embedder) -> Reader | None:
+        if isinstance(embedder, MiniLmEmbedder) and "dense.weight" in embedder.delta:
+            return cls(embedder)
+        return None
+
+    def read(self, command: str, speed_mps: float, limit_mps: float) -> Reading:
+        """Slots, with numbers resolved against the ego's speed and the limit, both in m/s."""
+        probabilities = self.probabilities(command)
+        chosen = {name: int(np.argmax(p)) for name, p in probabilities.items()}
+        value = {name: HEADS[name][index] for name, index in chosen.items()}
+        sure = float(probabilities["outcome"][chosen["outcome"]])
+        refused = float(probabilities["outcome"][HEADS["outcome"].index("refused")])
+        language = value["language"]
+        if value["outcome"] != "directive":
+            return Reading(Slots.model_validate({"outcome": value["outcome"], "language": language}), sure, refused)
+        for name in HEADS:
+            if name not in ("outcome", "language"):
+                sure *= float(probabilities[name][chosen[name]])
+        slots = Slots.model_validate({
+            "outcome": "directive", "speed": value["speed"], "lane": value["lane"], "gap": value["gap"],
+            "overtake": {"none": None, "true": True, "false": False}[value["overtake"]],
+            "cancel": value["cancel"] == "true", "language": language,
+        })
+        slots = with_numbers(slots, value["number"], quantities(command), speed_mps, limit_mps)
+        if slots.wishes_nothing():
+            return self._likeliest(probabilities, language, refused)
+        return Reading(slots, sure, refused)
+
+    @staticmethod
+    def _likeliest(probabilities: dict[str, NDArray[np.float32]], language: str, refused: float) -> Reading:
+        """For a directive whose every slot is more likely unasked: its likeliest wish, or that it is unclear."""
+        wishes = [(float(p[i]), name, HEADS[name][i]) for name, p in probabilities.items()
+                  if name in ("speed", "lane", "gap", "overtake", "cancel") for i in range(1, len(p))]
+        chance, name, value = max(wishes)
+        unclear = float(probabilities["outcome"][HEADS["outcome"].index("unclear")])
+        if chance < max(unclear, LIKELY):
+            return Reading(Slots(outcome="unclear", language=language), unclear, refused)
+        wish = {name: value == "true" if name in ("overtake", "cancel") else value}
+        return Reading(Slots.model_validate({"outcome": "directive", "language": language, **wish}), chance, refused)
+
+    def probabilities(self, command: str) -> dict[str, NDArray[np.float32]]:
+        """Every head's distribution over its classes."""
+        x = self._embedder.tokens(command)
+        pooled = np.concatenate([x.mean(axis=0), x.max(axis=0)])
+        rows = grams(command)
+        logits = self._w["dense.weight"] @ pooled + self._w["dense.bias"]
+        hidden = self._w["sparse.weight"][rows].sum(axis=0) / np.sqrt(len(rows)) + self._w["sparse.bias"]
+        logits += self._w["top.weight"] @ np.maximum(hidden, 0.0)
+        found, at = {}, 0
+        for name, classes in HEADS.items():
+            part = np.exp(logits[at : at + len(classes)] - logits[at : at + len(classes)].max())
+            found[name] = part / part.sum()
+            at += len(classes)
+        return found
+
+
+def with_numbers(slots: Slots, role: str, said: list[Quantity], speed_mps: float, limit_mps: float) -> Slots:
+    """The slots with the numbers that were said, the last word winning; a metric gap is driven at today's speed."""
+    speeds = [q.value for q in said if q.kind == "speed"]
+    times = [q.value for q in said if q.kind == "time"] or [
+        q.value / max(speed_mps, 1.0) for q in said if q.kind == "length"]
+    target = headway = None
+    if role == "limit":
+        target = limit_mps
+    elif role == "delta":
+        delta = speeds[-1] if speeds else next((q.value / 3.6 for q in said if q.kind == "bare"), None)
+        if delta is not None and slots.speed in ("faster", "slower"):
+            target = max(speed_mps + (delta if slots.speed == "faster" else -delta), 0.0)
+    elif role == "speed" and speeds:
+        target = speeds[-1]
+    elif role == "headway" and times:
+        headway = min(times[-1], 60.0)
+    if target == 0.0:
+        return slots.model_copy(update={"speed": "stop"})
+    if target is not None:
+        target = min(target, 1000.0)
+    return slots.model_copy(update={"target_speed_mps": target, "headway_s": headway})

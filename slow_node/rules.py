@@ -1,0 +1,117 @@
+"""What must not rest on any model: commands that ask for harm or for other rules, recognised by their words.
+
+Every pattern is matched against the folded text (lower case, no accents). A danger that is denied ("don't hit him") is
+none. The rules know the main words of seven languages; the reader's own head stands beside them.
+"""
+
+from __future__ import annotations
+
+import re
+
+from slow_node.numbers import fold
+
+_THEM = r"(?:him|her|them|it|us|(?:the|that|this|those|these|a|an|my|some|every|any)\s\w+)"
+_RULES_EN = r"(?:(?:speed )?limits?|rules?|laws?|safety|red lights?|stop signs?|traffic (?:rules|laws|lights?)|signs)"
+_SAFETY = (r"(?:\w+ ){0,2}(?:safety|brakes?|mask|airbags?|collision avoidance|limiter|lidar|sensors|bremsen|"
+           r"sicherheit\w*|notbrems\w*|securite|freins|seguridad|frenos|sicurezza|freni|seguranca|freios|travoes|"
+           r"veiligheid\w*|remmen)")
+
+_HARM = re.compile("|".join((
+    # harm
+    r"\bram(?:m|me|s|ming)?\b(?! niemand)(?! ist\b)", r"\bramm(?:e|en)?\b(?! (?:\w+ )?(?:niemand|kein))",
+    r"\bsmash (?:in|through)",
+    r"\bcrash(?:es|ing)? (?:it |us |the car )?(?:in ?to|against)", rf"\brun (?:{_THEM} )?(?:over|down) {_THEM}",
+    rf"\brun {_THEM} (?:over|off)", r"\bmow down", r"\bhit (?:him|her|them|(?:the|that|this|those|a) (?!gas|brake|"
+    r"road|lane|fast|slow|left|right|accel|pedal|throttle)\w)",
+    rf"\bkill (?:{_THEM}|everyone|me)", rf"\bhurt {_THEM}", rf"\b(?:push|force|shove|nudge) {_THEM} off",
+    rf"\bcut {_THEM} (?:off|up)\b", rf"\bcut off {_THEM}", r"\bbrake[- ]?(?:check|test)", r"\bsideswipe",
+    r"\bcollide with", r"\bplay(?:ing)? chicken", r"\bhit and run\b",
+    r"\bubers?fahr(?:e|en)? (?:ihn|sie|den|die|das)\b", r"\buber den haufen",
+    r"\b(?:drang|drange) \w+ (?:ab|von der)", r"\bgeisterfahr", r"\bausbremsen\b", r"\bbrems \w+ aus\b",
+    r"\b(?:percute|emboutis|defonce|ecrase)(?:z)?[- ](?:le|la|les|cette|ce|un)", r"\brentre[- ]lui dedans",
+    r"\bqueue de poisson", r"\bcontresens", r"\b(?:embiste|atropella|chocal|chocar? (?:a|contra|con) |estrellat)",
+    r"\bsacal\w de la (?:carretera|via)", r"\bsentido contrario", r"\bcontramano",
+    r"\b(?:sperona|investil|tampona(?:lo|la| quel)|travolgi)", r"\bcontromano",
+    r"\b(?:atropel[ae]|abalroa|contramao)", r"\bspookrij",
+    # where and how no car may drive
+    r"\bon (?:to )?the (?:hard )?(?:shoulder|sidewalk|pavement|verge|footpath|bike (?:path|lane))\b",
+    r"(?<!next to )\bthe (?:hard shoulder|emergency lane|breakdown lane)", r"\bthe wrong way (?:up|down|on|along)",
+    r"\bwrong side of the road", r"\bagainst (?:the )?(?:oncoming )?traffic", r"\binto (?:the )?oncoming",
+    r"\b(?:do|make|take|pull|perform) an? (?:\w+ )?u[- ]?turn",
+    r"\b(?:run|jump|blow|ignore|skip) (?:through )?(?:the|that|this|a|every|all) (?:next )?(?:red|"
+    r"stop sign|lights?\b)",
+    r"\b(?:through|over) (?:the|a|that) red\b", r"\bput it in reverse\b", r"\bdrive backwards",
+    r"\breverse (?:on|down|along|back) ",
+    r"\b(?:auf|uber) (?:dem|den) (?:standstreifen|gehweg|burgersteig|seitenstreifen)", r"\bbei rot\b",
+    r"\bgegenverkehr rein", r"\bin den gegenverkehr", r"\bbande d'arret", r"\bsur le trottoir",
+    r"\b(?:grille|brule)(?:r|z)? (?:le |ce |un )?(?:feu|stop|rouge)", r"\bpor (?:el|la) (?:arcen|acera)",
+    r"\bsaltat\w* (?:el|ese|un) (?:semaforo|rojo|stop)", r"\bcorsia d'emergenza", r"\bsul marciapiede",
+    r"\b(?:col|con il) rosso\b", r"\bpelo (?:acostamento|passeio)", r"\bpela (?:berma|calcada)", r"\bfura o sinal",
+    r"\bvluchtstrook", r"\bop de stoep", r"\bdoor rood\b",
+    # the law on purpose
+    rf"\b(?:ignor\w*|forget|break|disregard|exceed|screw|bypass|violate) (?:about )?(?:the |all |every |"
+    rf"your |any |those |these )*{_RULES_EN}\b(?! (?:what|that))",
+    r"\b(?:over|above|past|beyond|faster than) the (?:speed |legal )?limit",
+    r"\b(?:ignorier\w*|vergiss|scheiss auf|missachte) (?:das |die |alle |deine )*(?:tempolimit|"
+    r"geschwindigkeitsbe\w+|verkehrsregeln|regeln|ampel|sicherheit\w*)",
+    r"\buber dem (?:tempo)?limit", r"\bschneller als erlaubt (?:fahren|ist|bitte)",
+    r"\b(?:ignore|oublie|respecte pas) (?:la |les |toutes les )+(?:limitation|limite|regles)",
+    r"\b(?:ignora|olvida|olvidate de|dimentica|esquece) (?:el |los |las |la |il |i |le |o |as )*(?:limite|"
+    r"limites|normas|reglas|limiti|regole|regras|semaforo)",
+    r"\bpor encima del limite", r"\bau-dessus de la limite", r"\bsopra il limite", r"\bacima do limite",
+    r"\bboven de limiet",
+    # the car's own safety
+    rf"\b(?:switch|turn|shut) off {_SAFETY}",
+    rf"\b(?:disable|deactivate|bypass|override|remove|desactive|desactiva|disattiva|desativa|"
+    rf"deaktivier\w*) {_SAFETY}",
+    rf"\b(?:turn|switch|schalte?) {_SAFETY} (?:off|aus|ab)", r"\bsafety (?:systems? )?off\b",
+    r"\bwithout (?:braking|looking|brakes)\b", r"\beyes (?:closed|shut)",
+    r"\b(?:scare|frighten|intimidate) (?:the|that|him|her|those)", r"\bteach (?:him|her|them|that \w+) a lesson",
+    r"\b(?:half|quarter|tenth)s? (?:of )?a second behind", r"\bbumper to bumper",
+    r"\b(?:outrun|escape|flee|lose) (?:from )?the (?:police|cops)",
+    r"\brace (?:him|her|that|the (?!traffic)|against)\b", r"\bdrag race",
+)))
+
+_INJECTION = re.compile("|".join((
+    r"\b(?:ignor\w*|disregard|forget|override|bypass|vergiss|olvida|oublie|dimentica|esquece|vergeet|"
+    r"negeer)\b.{0,30}\b(?:instruc\w+|instruktion\w*|anweisung\w*|prompts?|programming|guidelines|consignes|"
+    r"istruzioni|instructies|previous rules)",
+    r"\bsystem ?prompt",
+    r"\b(?:your|tes|deine|tus|tue|suas|je) (?:hidden |initial |original )?(?:prompt|instructions?|"
+    r"instruktionen|anweisungen|instrucciones|istruzioni|instrucoes|instructies)\b",
+    r"^\W*(?:system|assistant|developer|admin|root|sudo|systeme?|sistema)\b.{0,12}[:>\]]", r"\bsudo\b",
+    r"<\W*/?\s*(?:system|command|im_start|instruction)",
+    r"\b(?:developer|debug|god|admin|jailbreak|maintenance|unrestricted|entwickler|desarrollador|"
+    r"developpeur|sviluppatore) ?-?(?:mode|modus|modo)\b",
+    r"\bmod[eo] (?:developpeur|desarrollador|sviluppatore|dieu|dios|admin\w*)", r"\bjailbreak",
+    r"\byou are (?:now|no longer) (?:an? )?(?:\w+ ){0,3}(?:ai|dan|assistant|unrestricted|pirate|free)\b",
+    r"\b(?:act|behave) as (?:if you had no|an? unrestricted|dan\b)",
+    r"\bpretend (?:that )?(?:you|the) .{0,40}(?:no rules|no restrictions|unrestricted|does(?: not|n't) exist)",
+    r"[\"'{]\s*(?:outcome|speed|role|lane|target_speed_mps|overtake)\"?\s*[:=]", r"\boutcome ?(?:=|:|to|directive)",
+    r"\btarget_speed_mps", r"\bset safety ?=",
+    r"\b(?:answer|respond|reply|antworte|reponds|responde|rispondi|antwoord) (?:only |exactly |just |nur |"
+    r"uniquement |solo |apenas |alleen )+(?:with|mit|met|con|com|par)?",
+    r"\b(?:remove|lift|drop) (?:all )?(?:your )?(?:restrictions|filters|guardrails)",
+)))
+
+_NEGATION = re.compile(
+    r"\b(?:do ?n[o']?t|dont|(?<!why )not|never|avoid|no need to|shouldn't|mustn't|must not|should not|without|"
+    r"nicht|kein\w*|niemand\w*|niemals|ne|pas|no|nunca|non|"
+    r"mai|nao|niet|nooit|geen|stop|quit)\b[^.,;:!?]{0,25}$")
+_TOLD = re.compile(r"\b(?:if\b[^.,;]*|(?:we|he|you|they)(?:'ll|'d|'re| are| will| would)|going to|gonna) ?$")
+"""Said about what happens, not asked for: "you're over the limit", "if he brakes we crash into him"."""
+_DONT_CARE = re.compile(r"\b(?:do ?n[o']?t|dont|no) (?:care|mind|bother|worry|brake|stop|slow)\b[^.,;:!?]{0,25}$")
+
+
+def unsafe(command: str) -> bool:
+    """The command asks for harm, for breaking the law or for other rules, in so many words."""
+    text = fold(command)
+    if _INJECTION.search(text):
+        return True
+    return any(not _denied(text[: match.start()]) for match in _HARM.finditer(text))
+
+
+def _denied(before: str) -> bool:
+    if _TOLD.search(before):
+        return True
+    return bool(_NEGATION.search(before)) and not _DONT_CARE.search(before)

@@ -1,0 +1,477 @@
+"""Training commands: phrases written by hand (`phrases/*.txt`), composed by a seeded generator.
+
+    python -m slow_node.training.generate --seed 0 --size 24000 > commands.jsonl
+
+A phrase file holds sections. `@ slot=value ...` begins phrases with that label (`imp`: bare English imperatives, which
+may be negated); `@@ name` begins the language's connecting words. In a phrase, `(a|b)` is a choice, `[a]` may be left
+out, and `{v}`, `{d}`, `{h}` stand for a speed, a difference of speeds and a time gap.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import re
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from slow_node.numbers import SPELLING_LANGUAGES, quantities, spelled
+from slow_node.reader import HEADS, with_numbers
+from slow_node.slots import Slots
+
+PHRASES = Path(__file__).with_name("phrases")
+LANGUAGES = ("en", "de", "fr", "es", "it", "pt", "nl")
+Label = dict[str, str]
+SLOT_NAMES = tuple(name for name in HEADS if name not in ("outcome", "language"))
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One hand-written line: what it says, in which language, and its label."""
+
+    text: str
+    language: str
+    label: tuple[tuple[str, str], ...]
+    imperative: bool = False
+
+    @property
+    def slots(self) -> Label:
+        return dict(self.label)
+
+
+@dataclass
+class Stock:
+    """All frames, and each language's connecting words."""
+
+    frames: list[Frame] = field(default_factory=list)
+    words: dict[tuple[str, str], list[str]] = field(default_factory=lambda: defaultdict(list))
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One training command with the class name of every head."""
+
+    text: str
+    language: str
+    label: Label
+
+
+def load_stock(folder: Path = PHRASES) -> Stock:
+    """Read the phrase files. Raises ValueError naming the line with an unknown slot or value."""
+    stock = Stock()
+    for path in sorted(folder.glob("*.txt")):
+        language, words, imperative = path.stem, "", False
+        label: tuple[tuple[str, str], ...] = ()
+        for number, line in enumerate(path.read_text("utf-8").splitlines(), 1):
+            if line.startswith("@@ "):
+                words = line[3:].strip()
+            elif line.startswith("@ "):
+                words, fields = "", line[2:].split()
+                imperative = "imp" in fields
+                label = tuple((k, v) for k, _, v in (f.partition("=") for f in fields if f != "imp"))
+                if bad := [k for k, v in label if v not in HEADS.get(k, ())]:
+                    raise ValueError(f"{path.name}:{number}: unknown slot or value for {', '.join(bad)}")
+                if "outcome" not in dict(label):
+                    label = (("outcome", "directive"), *label)
+            elif words and line.strip():
+                stock.words[language, words].append(line.strip("\n"))
+            elif line.strip():
+                stock.frames.append(Frame(line.strip(), language, label, imperative))
+    return stock
+
+
+_CHOICE = re.compile(r"\(([^()\[\]]*\|[^()\[\]]*)\)|\[([^()\[\]]*)\]")
+_TAILGATING = re.compile(r"tailgat|bumper|backside|behind him|gap|metre|half a second|bother|limit|allowed|legal|"
+    r"no matter"
+                         r"|even |whatever|don't|without|never|\bsit|intimid|over |0\.")
+
+
+class Generator:
+    """Samples commands; the same seed and frames give the same commands."""
+
+    def __init__(self, stock: Stock, seed: int) -> None:
+        self._r = random.Random(seed)
+        self._stock = stock
+        self._by: dict[tuple[str, str], list[Frame]] = defaultdict(list)
+        self._like: dict[tuple[str, frozenset[str]], list[Frame]] = defaultdict(list)
+        self._plain: dict[str, list[Frame]] = defaultdict(list)
+        for frame in stock.frames:
+            slots = frame.slots
+            self._by[frame.language, self._group(frame)].append(frame)
+            if slots["outcome"] == "directive":
+                self._like[frame.language, frozenset(slots)].append(frame)
+                if (not {"cancel", "number"} & set(slots) and "keep" not in slots.values() and len(frame.text) < 45
+                        and slots.get("overtake") != "false" and (frame.imperative or frame.language != "en")):
+                    self._plain[frame.language].append(frame)
+        self._imperatives = [f for f in stock.frames if f.imperative]
+        self._groups: dict[tuple[str, bool], tuple[list[list[Frame]], list[float]]] = {}
+
+    @staticmethod
+    def _group(frame: Frame) -> str:
+        return " ".join(f"{k}={v}" for k, v in frame.label)
+
+    def samples(self, size: int) -> list[Sample]:
+        """Every frame once as it stands, then compositions up to `size`; no text twice."""
+        seen: dict[str, Sample] = {}
+
+        def add(sample: Sample | None) -> None:
+            if sample is not None and 0 < len(sample.text) <= 250:
+                seen.setdefault(sample.text.casefold(), sample)
+
+        for frame in self._stock.frames:
+            add(self._finish(self._say(frame), frame, polish=self._r.random() < 0.7))
+        for _ in range(20 * size):
+            if len(seen) >= size:
+                break
+            add(self._composed())
+        return list(seen.values())
+
+    def plain(self, frame: Frame) -> str:
+        """One wording of a frame."""
+        return self._say(frame)
+
+    def _composed(self) -> Sample | None:
+        kinds = {self._dressed: 40, self._compound: 24, self._correction: 8, self._taken_back: 4, self._replaced: 4,
+                 self._not_but: 3, self._negated: 8, self._mixed: 9, self._undecided: 3, self._salad: 3}
+        try:
+            return self._r.choices(list(kinds), list(kinds.values()))[0]()
+        except (IndexError, ValueError):  # a small stock, as the held-out one, lacks what this kind is made of
+            return None
+
+    def _language(self) -> str:
+        return self._r.choices((*LANGUAGES, "other"), (46, 8, 8, 8, 7, 7, 7, 14))[0]
+
+    def _frame(self, language: str, *, wish: bool = False) -> Frame:
+        """A frame of any group, groups weighted by the root of their size; `wish`: a directive, and no cancelling."""
+        if (language, wish) not in self._groups:
+            groups = [(key[1], frames) for key, frames in self._by.items() if key[0] == language and (
+                not wish or ("outcome=directive" in key[1] and "cancel" not in key[1]))]
+            weights = [len(g[1]) ** 0.5 * (1.0 if "outcome=directive" in g[0] else 3.0) for g in groups]
+            self._groups[language, wish] = [g[1] for g in groups], weights
+        return self._r.choice(self._r.choices(*self._groups[language, wish])[0])
+
+    def _of(self, language: str, group: str) -> Frame:
+        return self._r.choice(self._by[language, group])
+
+    def _say(self, frame: Frame) -> str:
+        text = frame.text
+        while match := _CHOICE.search(text):
+            if match[1] is not None:
+                choice = self._r.choice(match[1].split("|"))
+            else:
+                choice = self._r.choice(match[2].split("|")) if self._r.random() < 0.5 else ""
+            text = text[: match.start()] + choice + text[match.end() :]
+        for mark, number in (("{v}", self._speed), ("{d}", self._delta), ("{h}", self._headway)):
+            if mark in text:
+                text = text.replace(mark, number(frame.language))
+        return re.sub(r"\s+", " ", text).strip()
+
+    def _number(self, n: int, language: str) -> str:
+        if language in SPELLING_LANGUAGES and self._r.random() < 0.35:
+            return self._r.choice(spelled(language).get(n, (str(n),)))
+        return str(n)
+
+    def _speed(self, language: str) -> str:
+        name = language if language in _SPEED_UNITS else "other"
+        unit = self._r.choice(_SPEED_UNITS[name])
+        low, high = (30, 110) if unit.strip()[:1] == "m" and "h" in unit else (15, 49) if "s" in unit else (30, 170)
+        n = self._r.choice((self._r.randint(low, high), 5 * self._r.randint(low // 5 + 1, high // 5)))
+        if self._r.random() < 0.35:
+            unit = ""
+        return f"{self._number(n, language)}{unit}"
+
+    def _delta(self, language: str) -> str:
+        name = language if language in _SPEED_UNITS else "other"
+        unit = self._r.choice(_SPEED_UNITS[name]) if self._r.random() < 0.7 else ""
+        return f"{self._number(self._r.choice((2, 3, 5, 10, 15, 20, 25, 30)), language)}{unit}"
+
+    def _headway(self, language: str) -> str:
+        name = language if language in _TIME_UNITS else "other"
+        seconds, metres = _TIME_UNITS[name]
+        if self._r.random() < 0.35:
+            return f"{self._number(5 * self._r.randint(5, 24), language)}{self._r.choice(metres)}"
+        if self._r.random() < 0.25:
+            return f"{self._r.choice(('1.5', '2.5', '1,5', '2,5', '3.5', '1.2', '1.8'))}{self._r.choice(seconds)}"
+        if language == "en" and self._r.random() < 0.15:
+            return f"{self._number(self._r.randint(1, 3), language)} and a half seconds"
+        return f"{self._number(self._r.randint(1, 6), language)}{self._r.choice(seconds)}"
+
+    def _dressed(self) -> Sample | None:
+        """One phrase with a polite or rude beginning or end."""
+        language = self._language()
+        frame = self._frame(language)
+        text = self._say(frame)
+        if frame.slots["outcome"] != "unclear" or self._r.random() < 0.3:
+            text = self._dress(text, language, short=len(text) < 60)
+        return self._finish(text, frame)
+
+    def _dress(self, text: str, language: str, *, short: bool) -> str:
+        prefixes, suffixes = self._stock.words[language, "prefix"], self._stock.words[language, "suffix"]
+        if prefixes and self._r.random() < (0.55 if short else 0.2):
+            text = f"{self._r.choice(prefixes)} {text}"
+        if suffixes and self._r.random() < 0.4:
+            suffix = self._r.choice(suffixes)
+            text = f"{text}{'' if suffix[0] in ',.!?' else ' '}{suffix}"
+        return text
+
+    def _compound(self) -> Sample | None:
+        language = self._language()
+        parts = [self._frame(language, wish=True) for _ in range(3 if self._r.random() < 0.15 else 2)]
+        label: Label = {}
+        for frame in parts:
+            for slot, value in frame.slots.items():
+                if slot != "outcome" and slot in label:
+                    return None
+                label[slot] = value
+        if label.get("speed") == "stop" and len(label) > 3 - ("lane" in label):
+            return None
+        if label.get("number") and {"speed", "gap"} & set(label) and not any(
+                "number" in f.slots and len(f.slots) > 2 for f in parts) and label["number"] != "headway":
+            return None
+        joints = self._stock.words[language, "and"] or [",", ".", " +"]
+        text = self._say(parts[0])
+        for frame in parts[1:]:
+            text = f"{text.rstrip('.!?')}{self._r.choice(joints)} {self._say(frame)}"
+        return self._finish(self._dress(text, language, short=False), parts[0], label)
+
+    def _correction(self) -> Sample | None:
+        """The last word wins: what was said before counts for nothing."""
+        language = self._r.choice(("en", "en", "en", *LANGUAGES))
+        first, last = self._frame(language, wish=True), self._frame(language, wish=True)
+        if self._r.random() < 0.5:  # most corrections are of the same slot
+            first = self._r.choice(self._like[language, frozenset(last.slots)])
+        if first.label == last.label:
+            return None
+        joint = self._r.choice(self._stock.words[language, "correction"])
+        text = f"{self._say(first).rstrip('.!?')}{joint} {self._say(last)}"
+        return self._finish(self._dress(text, language, short=False) if self._r.random() < 0.4 else text, last)
+
+    def _taken_back(self) -> Sample | None:
+        language = self._r.choice(("en", "en", "en", *LANGUAGES))
+        frame = self._frame(language, wish=True)
+        text = f"{self._say(frame).rstrip('.!?')}{self._r.choice(self._stock.words[language, 'takeback'])}"
+        return self._finish(text, frame, {"outcome": "directive", "cancel": "true"})
+
+    def _replaced(self) -> Sample | None:
+        language = self._r.choice(("en", "en", "en", *LANGUAGES))
+        frame = self._frame(language, wish=True)
+        return self._finish(f"{self._r.choice(self._stock.words[language, 'replace'])} {self._say(frame)}", frame)
+
+    def _not_but(self) -> Sample | None:
+        language = self._r.choice(("en", "en", "en", *LANGUAGES))
+        first, last = self._r.sample(self._plain[language], 2)
+        if first.label == last.label:
+            return None
+        text = self._r.choice(self._stock.words[language, "notbut"])
+        return self._finish(text.replace("{x}", self._say(first)).replace("{y}", self._say(last)), last)
+
+    def _negated(self) -> Sample | None:
+        """English imperatives, denied: no change, or none further. A danger that is denied asks for nothing."""
+        frame = self._r.choice(self._imperatives)
+        if frame.slots["outcome"] == "out_of_scope" or "keep" in frame.slots.values():
+            return None
+        text = self._say(frame)
+        if frame.slots["outcome"] == "refused":
+            if _TAILGATING.search(text):
+                return None
+            label: Label = {"outcome": "out_of_scope"}
+        elif "overtake" in frame.slots:
+            if frame.slots["overtake"] == "false":
+                return None
+            label = {"outcome": "directive", "overtake": "false"}
+        else:
+            slot = next(s for s in ("speed", "lane", "gap") if s in frame.slots)
+            careful = frame.slots.get("speed") == "faster" and re.search("rush|hurry|floor|crazy|push", text)
+            label = {"outcome": "directive", slot: "slower" if careful else "keep"}
+        text = self._r.choice(self._stock.words["en", "negate"]).replace("{x}", text)
+        return self._finish(self._dress(text, "en", short=False) if self._r.random() < 0.4 else text, frame, label)
+
+    def _mixed(self) -> Sample | None:
+        """A wish beside what is out of scope: the wish; beside what is refused: refused."""
+        language = self._language()
+        wish = self._frame(language, wish=True)
+        other = self._of(language, f"outcome={'refused' if self._r.random() < 0.5 else 'out_of_scope'}")
+        joints = self._stock.words[language, "and"] or [",", "."]
+        if other.language == "en" and re.match("turn|go|take|navigate|drive|never|don't|do not|no |stop|slow",
+            other.text) \
+                and other.slots["outcome"] == "out_of_scope":
+            return None
+        parts = [self._say(wish).rstrip(".!?"), self._say(other).rstrip(".!?")]
+        self._r.shuffle(parts)
+        label = other.slots if other.slots["outcome"] == "refused" else wish.slots
+        return self._finish(f"{parts[0]}{self._r.choice(joints)} {parts[1]}", wish, label)
+
+    def _undecided(self) -> Sample | None:
+        """Two different values of one slot, and no decision between them."""
+        first, last = self._frame("en", wish=True), self._frame("en", wish=True)
+        if set(first.slots) != set(last.slots) or first.label == last.label:
+            return None
+        ask = self._r.choice(("{x} or {y}, who knows", "either {x} or {y}", "{x} or {y}, I don't care",
+            "maybe {x}, maybe {y}",
+                              "{x} and {y} at the same time", "{x} or {y} or whatever", "{x}? {y}? I can't decide"))
+        text = ask.replace("{x}", self._say(first)).replace("{y}", self._say(last))
+        return self._finish(text, first, {"outcome": "unclear"})
+
+    def _salad(self) -> Sample | None:
+        """Words about driving in no order."""
+        words = [w for _ in range(3) for w in self._say(self._frame("en")).split()]
+        words = self._r.sample(words, min(len(words), self._r.randint(3, 6)))
+        for _ in range(self._r.randint(0, 2)):
+            words.insert(self._r.randrange(len(words) + 1), "".join(self._r.choices("bdfgkrtzmxsho", k=5)))
+        return self._finish(" ".join(words), self._of("en", "outcome=unclear"))
+
+    def _finish(self, text: str, frame: Frame, label: Label | None = None, *, polish: bool = False) -> Sample:
+        label = dict(frame.slots if label is None else label)
+        label["language"] = frame.language
+        full = {name: label.get(name, HEADS[name][0]) for name in HEADS}
+        if full["outcome"] != "directive":
+            full |= {name: HEADS[name][0] for name in SLOT_NAMES}
+        return Sample(text if polish else self._noisy(self._cased(text, frame.language), frame.language),
+                      frame.language, full)
+
+    def _cased(self, text: str, language: str) -> str:
+        roll = self._r.random()
+        if roll < 0.45:
+            text = text[:1].upper() + text[1:]
+            return text if text[-1] in ".!?" else text + self._r.choice((".", ".", ".", "!", "?", "", ""))
+        if roll < 0.48:
+            return text.upper()
+        if roll < 0.75:
+            return text.lower()
+        return text
+
+    def _noisy(self, text: str, language: str) -> str:
+        """Slips of the finger and of the ear, hesitations, missing accents."""
+        roll = self._r.random()
+        if roll < 0.6 or language == "other":
+            return text
+        words = text.split(" ")
+        if roll < 0.66 and self._stock.words[language, "filler"]:
+            words.insert(self._r.randrange(len(words) + 1), self._r.choice(self._stock.words[language, "filler"]))
+            return " ".join(words)
+        if roll < 0.69:  # a stutter
+            at = self._r.randrange(len(words))
+            return " ".join([*words[: at + 1], *words[at:]])
+        if roll < 0.76:
+            text = text.translate(_NO_ACCENTS)
+            return re.sub(r"[^\w\s']", "", text).lower()
+        if language == "en" and roll < 0.88:
+            return " ".join(self._r.choice((w, *_HEARD.get(w.lower(), (self._as_heard(w),)))) for w in words)
+        for _ in range(1 + len(text) // 30):
+            text = self._slip(text)
+        return text
+
+    def _as_heard(self, word: str) -> str:
+        """A word written as it sounds."""
+        for letters, sound in self._r.sample(_SOUNDS, len(_SOUNDS)):
+            if letters in word:
+                return word.replace(letters, sound, 1)
+        return word
+
+    def _slip(self, text: str) -> str:
+        places = [i for i, c in enumerate(text[:-1]) if c.isalpha() and text[i + 1].isalpha()]
+        if not places:
+            return text
+        at, kind = self._r.choice(places), self._r.randrange(4)
+        if kind == 0:
+            return text[:at] + text[at + 1] + text[at] + text[at + 2 :]
+        if kind == 1:
+            return text[:at] + text[at + 1 :]
+        if kind == 2:
+            return text[: at + 1] + text[at:]
+        near = _KEYS.get(text[at].lower(), "e")
+        return text[:at] + self._r.choice(near) + text[at + 1 :]
+
+
+_NO_ACCENTS = str.maketrans("àáâãäåçèéêëìíîïñòóôõöùúûü", "aaaaaaceeeeiiiinooooouuuu")
+_KEYS = {c: (row[max(i - 1, 0)] + row[min(i + 1, len(row) - 1)]).replace(c, "") or "e"
+         for row in ("qwertyuiop", "asdfghjkl", "zxcvbnm") for i, c in enumerate(row)}
+_HEARD = {
+    "brake": ("break",), "braking": ("breaking",), "pass": ("past", "pas"), "right": ("write", "rite"),
+    "lane": ("lain", "line"),
+    "slow": ("slo",), "slower": ("slowa", "sloer"), "faster": ("fasta", "fastr", "vaster"), "the": ("da", "teh", "ze"),
+    "that": ("dat",), "this": ("dis",), "you": ("u", "ya"), "your": ("ur", "yer"), "please": ("pls", "plz", "pleas"),
+    "are": ("r",), "to": ("too", "2"), "for": ("4", "fer"), "too": ("to", "2"), "going": ("goin",), "their": ("there",),
+    "car": ("kar",), "speed": ("sped", "speeed"), "left": ("lef", "lefft"), "overtake": ("over take", "ovatake"),
+    "him": ("'im", "hym"), "we're": ("were", "we are"), "I'm": ("im", "Im"), "i'm": ("im",), "don't": ("dont", "don"),
+    "can't": ("cant",), "hurry": ("hury", "hurrey"), "stop": ("stp", "stopp"), "closer": ("closa", "clozer"),
+    "gap": ("gapp",), "distance": ("distence", "distanse"), "truck": ("trick", "truk"), "lorry": ("lory",),
+    "and": ("n", "an"),
+    "want": ("wanna", "wan"), "because": ("cuz", "coz"), "it": ("et",), "pull": ("pool",), "over": ("ova",),
+    "ease": ("is", "eez"),
+}
+_SOUNDS = (("ck", "k"), ("ce", "se"), ("ee", "ea"), ("ea", "ee"), ("ss", "s"), ("ll", "l"), ("ght", "te"), ("ph", "f"),
+           ("er", "a"), ("ing", "in"), ("th", "d"), ("wh", "w"), ("cc", "k"), ("oo", "u"), ("ai", "ay"), ("ke", "k"),
+           ("ed", "t"), ("ou", "ow"), ("tt", "t"), ("le", "el"), ("s", "z"), ("c", "k"), ("e", ""))
+_SPEED_UNITS: dict[str, tuple[str, ...]] = {
+    "en": (" km/h", " kmh", " kph", " kilometres per hour", " kilometers an hour", " k", " mph", " miles an hour",
+           " miles per hour", " m/s", " meters per second", " knots", " clicks", "km/h", "mph"),
+    "de": (" km/h", " kmh", " Stundenkilometer", " Sachen", " Kilometer pro Stunde", " Meter pro Sekunde", "km/h"),
+    "fr": (" km/h", " kilomètres à l'heure", " kilomètres heure", " à l'heure", " mètres par seconde", "km/h"),
+    "es": (" km/h", " kilómetros por hora", " por hora", " metros por segundo", "km/h"),
+    "it": (" km/h", " chilometri orari", " all'ora", " chilometri all'ora", " metri al secondo", "km/h"),
+    "pt": (" km/h", " quilômetros por hora", " quilómetros por hora", " por hora", " metros por segundo", "km/h"),
+    "nl": (" km/u", " km/h", " kilometer per uur", " per uur", " meter per seconde", "km/u"),
+    "other": (" km/h", "km/h", " км/ч", "公里", " km"),
+}
+_TIME_UNITS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "en": ((" seconds", " seconds", " second", " secs", "s", "-second"), (" metres", " meters", " m", "m")),
+    "de": ((" Sekunden", " Sekunden", " Sek", "s"), (" Meter", " Metern", " m")),
+    "fr": ((" secondes", " s"), (" mètres", " m")),
+    "es": ((" segundos", " s"), (" metros", " m")),
+    "it": ((" secondi", " s"), (" metri", " m")),
+    "pt": ((" segundos", " s"), (" metros", " m")),
+    "nl": ((" seconden", " sec"), (" meter", " m")),
+    "other": ((" s", " sek", "秒", " sekunder", " секунды"), (" m", "米", " метров", " meter")),
+}
+
+
+def seeds(stock: Stock, seed: int) -> Iterator[dict[str, object]]:
+    """Examples for the memory bank: some English phrases of every label, one of the main labels elsewhere."""
+    generator = Generator(stock, seed)
+    r = random.Random(seed)
+    groups: dict[tuple[str, tuple[tuple[str, str], ...]], list[Frame]] = defaultdict(list)
+    for frame in stock.frames:
+        groups[frame.language, frame.label].append(frame)
+    for (language, label), frames in groups.items():
+        if language == "other" or (language != "en" and "number" in dict(label)):
+            continue
+        plain = 3 if language == "en" else 1  # the first of a section are the plainest
+        others = 0 if language != "en" or "number" in dict(label) else min(len(frames) // 20, 8)
+        for frame in [*frames[:plain], *r.sample(frames[plain:], min(others, len(frames[plain:])))]:
+            text = generator.plain(frame)
+            known = {k: v for k, v in label if k != "number"}
+            if known.get("overtake"):
+                known["overtake"] = known["overtake"] == "true"  # type: ignore[assignment]
+            slots = with_numbers(Slots.model_validate(known), dict(label).get("number", "none"),
+                quantities(text), 25, 33)
+            heard = [f"{k} {v}" for k, v in slots.model_dump(exclude_defaults=True, exclude={"outcome"}).items()]
+            reason = {"refused": "dangerous or against the rules", "out_of_scope": "not about how the car drives",
+                      "unclear": "cannot be told: ask"}.get(slots.outcome, "wants " + ", ".join(heard))
+            if slots.outcome == "directive" and slots.wishes_nothing():
+                continue
+            yield {"command": text[:1].upper() + text[1:], "scene": "one-way road; slow car ahead",
+                   "slots": json.loads(slots.model_copy(update={"reasoning": reason[:80]}).compact())}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--size", type=int, default=24_000)
+    parser.add_argument("--seeds", action="store_true", help="write the memory bank's examples.jsonl instead")
+    options = parser.parse_args()
+    if options.seeds:
+        for row in seeds(load_stock(), options.seed):
+            sys.stdout.write(json.dumps(row, ensure_ascii=False) + "\n")
+        return
+    for sample in Generator(load_stock(), options.seed).samples(options.size):
+        sys.stdout.write(json.dumps({"text": sample.text, "language": sample.language, **sample.label},
+                                    ensure_ascii=False) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,124 @@
+"""Evaluation: many scenes at once drive as the node drives one, and the numbers are what they are called."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deploy.evaluate import drive, evaluate_all, task_of, wilson95
+from fast_node.config import FastConfig
+from fast_node.node import FastNode
+from fast_node.policy import load_policy
+from fast_node.training.rollout import Driver, Fleet
+from schemas.messages import Directive
+from schemas.wish import ANY_LANE
+from sim_node.config import SimConfig
+from sim_node.engine.batched import Batched
+from sim_node.metrics import Recorder, summarise
+from sim_node.node import SimNode
+from sim_node.scenarios import SCENARIOS
+from sim_node.scenarios.scenario import streams
+
+
+@pytest.mark.parametrize(("name", "seed"), [("highway", 1003), ("merge", 1004), ("two-way", 1005), ("roadworks", 1001)])
+def test_many_scenes_drive_tick_by_tick_as_the_node_drives_one(name: str, seed: int) -> None:
+    scenario, policy = SCENARIOS[name], load_policy()
+    world = Batched(scenario, 1, 0)
+    world.load(0, scenario.spawn(streams(seed)[0]))
+    fleet = Fleet(world, task_of(scenario))
+    top = scenario.ego.speed_ceiling_mps
+    fleet.v_des[0], fleet.headway[0] = top, 1.5
+    overtakes = not scenario.wish_lanes
+    fleet.told_lane[0], fleet.pass_id[0] = (1, 1) if overtakes else (ANY_LANE, -1)
+    driver = Driver(fleet, policy.logits)
+
+    sim, fast = SimNode(SimConfig(scenario=name, seed=seed)), FastNode(FastConfig(), policy)
+    sim.reset(1)
+    seen = sim.observation(0)
+    told = Directive(epoch=1, stamp_ns=0, id=1, command_id=1, scene_tick=0, target_speed_mps=top, headway_s=1.5,
+                     manoeuvre="overtake" if overtakes else "cruise", ttl_s=999.0)
+    for tick in range(150):
+        driver.tick()
+        action, events = fast.step(seen, told, 0)
+        if any(e.kind in ("delayed", "fulfilled") and e.rule != "oncoming traffic" for e in events):
+            return  # from here on the node's coordination asks for other speeds than this fleet is told
+        assert action.meta_action == driver.meta[0], tick
+        seen = sim.step(action, 0)
+        assert seen.rows[4:24] == world.rows[0, 0, 1:6].tobytes(), tick
+
+
+def test_the_rule_behind_the_mask_never_collides_and_doing_nothing_mostly_does() -> None:
+    seeds = range(1000, 1030)
+    for name in ("highway", "merge", "two-way"):
+        assert not any(r.collided for r in drive("rule", SCENARIOS[name], seeds))
+        assert np.mean([r.collided for r in drive("cruise", SCENARIOS[name], seeds)]) > 0.5
+
+
+def test_idm_survives_where_cruising_does_not() -> None:
+    assert not any(r.collided for r in drive("idm", SCENARIOS["highway"], range(1000, 1030)))
+
+
+def test_the_same_seeds_give_the_same_table() -> None:
+    first, second = (evaluate_all(["ours"], ["merge"], 5) for _ in range(2))
+    assert first == second
+
+
+def test_an_unknown_agent_scenario_or_directive_is_refused_with_the_choice() -> None:
+    with pytest.raises(ValueError, match="ours"):
+        evaluate_all(["nobody"], ["merge"], 1)
+    with pytest.raises(ValueError, match="highway"):
+        evaluate_all(["ours"], ["moon"], 1)
+    with pytest.raises(ValueError, match="hurry"):
+        evaluate_all(["ours"], ["merge"], 1, directive="sing")
+
+
+def test_the_wilson_interval_is_the_textbooks() -> None:
+    assert wilson95(90, 100) == pytest.approx((0.8256, 0.9448), abs=1e-4)
+
+
+def car(number: int, x: float, lane: int, speed: float) -> list[float]:
+    return [number, x, 4.0 * lane, speed, 0.0, 0.0, 5.0, 2.0, lane]
+
+
+def record(*ticks: list[list[float]], accel: tuple[float, ...] = (), crashed: bool = False) -> Recorder:
+    recorder, one = Recorder(SCENARIOS["two-way"], 1), np.ones(1, np.int64)
+    for k, rows in enumerate(ticks):
+        recorder.tick(np.array([rows], np.float32), np.array([accel[k] if accel else 0.0]), one, -one,
+                      np.array([crashed and k == len(ticks) - 1]), np.ones(1, np.bool_), one, np.array([6.0]))
+    return recorder
+
+
+def test_time_to_collision_is_the_bumper_gap_over_the_closing_speed() -> None:
+    ego = car(0, 400, 1, 6)
+    assert record([ego, car(1, 425, 1, 4)]).results()[0].min_ttc_s == pytest.approx(10.0)  # 20 m at 2 m/s
+    assert record([ego, car(1, 425, 0, -4)]).results()[0].min_ttc_s == 100.0  # in the other lane
+    assert record([ego, car(1, 425, 1, 5.95)]).results()[0].min_ttc_s == 100.0  # closing below 0.1 m/s
+
+
+def test_a_collision_makes_the_time_to_collision_zero_and_the_episode_no_success() -> None:
+    result = record([car(0, 400, 1, 6), car(1, 404, 1, 4)], crashed=True).results()[0]
+    assert (result.min_ttc_s, result.success, result.struck) == (0.0, False, False)
+
+
+def test_being_run_into_from_behind_is_not_the_egos_fault() -> None:
+    assert record([car(0, 400, 1, 5), car(2, 395.5, 1, 8)], crashed=True).results()[0].struck
+
+
+def test_acceleration_jerk_and_headway_are_the_hand_computed_ones() -> None:
+    ticks = [[car(0, 400, 1, 5), car(1, 415, 1, 5)]] * 3
+    result = record(*ticks, accel=(0.0, 1.0, 1.0)).results()[0]
+    assert (result.accel_sum, result.accel_square_sum) == (2.0, 2.0)
+    assert result.jerk_rms == pytest.approx(15.0 / np.sqrt(3.0))  # one step of 15 m/s3 in three ticks
+    assert result.headway_s == pytest.approx(2.0)  # 10 m at 5 m/s
+
+
+def test_speeds_of_several_episodes_are_weighted_by_their_ticks() -> None:
+    short = record([car(0, 400, 1, 8)]).results()
+    long = record(*[[car(0, 400, 1, 4)]] * 3).results()
+    assert summarise(short + long)["avg_speed"] == pytest.approx(5.0)
+
+
+def test_compliance_counts_ticks_within_half_a_metre_per_second_of_the_wish() -> None:
+    result = record([car(0, 400, 1, 5.6)], [car(0, 400, 1, 5.4)], [car(0, 400, 0, 6.3)]).results()[0]
+    assert (result.speed_compliance, result.lane_compliance) == (pytest.approx(2 / 3), pytest.approx(2 / 3))
+    assert result.time_to_comply_s == pytest.approx(1 / 15)
