@@ -157,7 +157,7 @@ def evaluate_all(
     agents: Sequence[str], scenarios: Sequence[str], episodes: int, *, checkpoint: Path | None = None,
     directive: str = "hurry", progress: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """A row per agent and scenario, over the seeds from `FIRST_SEED`; and per scenario the seeds that nobody survived."""
+    """A row per agent and scenario, over the seeds from `FIRST_SEED`; per scenario the seeds that nobody survived."""
     rows, unsurvived = [], {}
     for name in scenarios:
         if name not in SCENARIOS:

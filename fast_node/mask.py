@@ -336,7 +336,7 @@ def close_actions(
         # Out of the lane that ends before its end? Else stop there while that is possible. No way back beyond that.
         left = OUT_M - abs(y - lanes[previous_lane][0])
         room = lanes[previous_lane][2] - END_M - x
-        late = 0.0 < left and room < max(v * (0.4 + 0.45 * left), 2.2 * left)
+        late = left > 0.0 and room < max(v * (0.4 + 0.45 * left), 2.2 * left)
         must_stop = must_stop or (late and stop <= room < stop + v / 15.0 + 1.0)
         back = LEFT if previous_lane < target_lane else RIGHT
         if rule[back] == OPEN and room < stop + v:

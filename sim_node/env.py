@@ -246,7 +246,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         end = self.scenario.road_end_m - kernel.LEFT_ROAD_M
         self.road.vehicles = [
             v for v in self.road.vehicles
-            if v is self.ego or (v.position[0] < end if math.cos(v.heading) > 0 else kernel.LEFT_ROAD_M < v.position[0])
+            if v is self.ego or (v.position[0] < end if math.cos(v.heading) > 0 else v.position[0] > kernel.LEFT_ROAD_M)
         ]
 
     def action_masks(self) -> NDArray[np.bool_]:
@@ -340,8 +340,8 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         lane = self.wish.lane
         return float(reward(
             one(speed), one(self.wish.speed_mps), 0.5 * self.scenario.ego.speed_ceiling_mps, one(accel_square),
-            one(action != MetaAction.CRUISE), one(lane in (ANY_LANE, self.ego.target_lane)), one(ttc), one(short), one(braked),
-            one(self.ego.crashed)))
+            one(action != MetaAction.CRUISE), one(lane in (ANY_LANE, self.ego.target_lane)), one(ttc), one(short),
+            one(braked), one(self.ego.crashed)))
 
     def _reward(self, action: int) -> float:
         return self._rewarded

@@ -165,19 +165,21 @@ def test_cars_start_behind_the_ego_too(name: str) -> None:
         assert (s.x[(s.direction > 0)][1:] < s.x[0]).any()
 
 
-def test_a_second_of_reward_is_of_the_size_of_one() -> None:
+def earned(speed: float, v_des: float, accel2: float = 0.0, acted: bool = False, in_lane: bool = True,
+           ttc_s: float = 100.0, short: float = 0.0, braked: bool = False, crashed: bool = False) -> float:
     one = np.asarray
-    best = reward(one(28.0), one(28.0), 14.0, one(0.0), one(False), one(True), one(100.0), one(0.0), one(False), one(False))
-    worst = reward(one(0.0), one(28.0), 14.0, one(36.0), one(True), one(False), one(0.0), one(1.0), one(True), one(True))
-    assert 0.05 < best < 0.2
-    assert -2.0 < worst < -1.0
+    return float(reward(one(speed), one(v_des), 0.5 * v_des, one(accel2), one(acted), one(in_lane), one(ttc_s),
+                        one(short), one(braked), one(crashed)))
+
+
+def test_a_second_of_reward_is_of_the_size_of_one() -> None:
+    assert 0.05 < earned(28.0, 28.0) < 0.2
+    assert -2.0 < earned(0.0, 28.0, 36.0, True, False, 0.0, 1.0, True, True) < -1.0
 
 
 def test_parking_in_the_wished_lane_earns_less_than_driving_outside_it() -> None:
-    one = np.asarray
-    parked = reward(one(0.0), one(8.0), 4.0, one(0.0), one(False), one(True), one(100.0), one(0.0), one(False), one(False))
-    driven = reward(one(7.5), one(8.0), 4.0, one(0.1), one(True), one(False), one(9.0), one(0.0), one(False), one(False))
-    assert parked < 0 < driven
+    parked = earned(0.0, 8.0)
+    assert parked < 0 < earned(7.5, 8.0, 0.1, True, in_lane=False, ttc_s=11.0)
 
 
 def test_a_policy_that_was_trained_behind_another_mask_is_refused(tmp_path) -> None:

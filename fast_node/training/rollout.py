@@ -161,8 +161,8 @@ class Fleet:
         self.lanes[:, :, 0] = w.lane_y
         self._rows[:] = w.rows
         _look_all(self._rows, self.lanes, w.target_speed, w.target_lane, w.previous_lane, self.task.sight_m,
-                  self.told_lane, self.pass_id, self.headway, self._near, self.rule, self.vehicle, self.wish, self.ttc_s,
-                  self.short)
+                  self.told_lane, self.pass_id, self.headway, self._near, self.rule, self.vehicle, self.wish,
+                  self.ttc_s, self.short)
 
     def observe(self) -> Array:
         """Policy input (S, N, F) of what `look` saw last."""

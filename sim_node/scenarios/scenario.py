@@ -161,7 +161,7 @@ class Scenario:
             if isinstance(flow.lane, int) and not 0 <= flow.lane < len(self.lanes):
                 raise ValueError(f"scenario {self.name!r}: a flow is on lane {flow.lane} of {len(self.lanes)} lanes")
         if not set(self.ego.lanes) <= set(range(len(self.lanes))) or not self.ego.lanes:
-            raise ValueError(f"scenario {self.name!r}: ego lanes {self.ego.lanes} are not all of {len(self.lanes)} lanes")
+            raise ValueError(f"scenario {self.name!r}: ego lanes {self.ego.lanes} of {len(self.lanes)} lanes")
 
     @property
     def vehicles_max(self) -> int:
