@@ -59,8 +59,14 @@ def _root(
                     "With OPENAI_API_KEY (and OPENAI_BASE_URL, OPENAI_MODEL) set, that model is asked instead of "
                     "the embedded one.\n\n" + _EXITS)
 def run(
-    scenario: Annotated[str, typer.Option(help="What road to drive on.")] = "two-way",
+    scenario: Annotated[str, typer.Option(
+        help="What road to drive on: highway, merge, two-way, merge-main, roadworks; highway-, merge- or "
+             "two-way-natural.")] = "two-way",
     seed: Annotated[int, typer.Option(min=0, help="Which traffic there is on it.")] = 0,
+    density: Annotated[float, typer.Option(min=0.2, max=3.0, help="Times the usual density of traffic.")] = 1.0,
+    noise_m: Annotated[float, typer.Option(min=0.0, help="Error of perceived positions, standard deviation.")] = 0.0,
+    noise_mps: Annotated[float, typer.Option(min=0.0, help="Error of perceived speeds, standard deviation.")] = 0.0,
+    dropout: Annotated[float, typer.Option(min=0.0, max=0.9, help="Chance that a car goes unseen at a tick.")] = 0.0,
     duration: Annotated[
         float | None, typer.Option(min=1.0, help="End after this many seconds.", show_default="until Ctrl-C")
     ] = None,
@@ -89,7 +95,8 @@ def run(
 
     raise typer.Exit(run_system(RunOptions(
         scenario=scenario, seed=seed, duration_s=duration, port=port, say=say, say_at_s=say_at, as_json=as_json,
-        without=tuple(without or ()), realtime=realtime)))
+        without=tuple(without or ()), realtime=realtime, density=density, noise_m=noise_m, noise_mps=noise_mps,
+        dropout=dropout)))
 
 
 @app.command(epilog="Examples:\n\n  fastslow say \"I'm in a hurry\"\n\n"

@@ -58,6 +58,11 @@ class RunOptions:
 
     scenario: str = "two-way"
     seed: int = 0
+    density: float = 1.0
+    noise_m: float = 0.0
+    noise_mps: float = 0.0
+    dropout: float = 0.0
+    """Traffic density and perception, as `sim_node.config.SimConfig` has them."""
     duration_s: float | None = None
     port: int = DEFAULT_PORT
     say: str | None = None
@@ -132,7 +137,9 @@ def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Pro
             "trace": str((options.trace / f"{name}.trace").absolute()) if options.trace else "",
         }
 
-    sim: dict[str, object] = {**critical("sim", "fast"), "scenario": options.scenario, "seed": options.seed}
+    sim: dict[str, object] = {
+        **critical("sim", "fast"), "scenario": options.scenario, "seed": options.seed, "density": options.density,
+        "noise_m": options.noise_m, "noise_mps": options.noise_mps, "dropout": options.dropout}
     if options.duration_s is not None:
         sim["duration_s"] = options.duration_s
     slow: dict[str, object] = {

@@ -18,6 +18,8 @@ class SimConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Stop by itself after this long; None: run until told to stop."""
     hz: int = 15
     """Ticks per second; the contract's deadlines and the trained weights are for 15."""
+    density: float = 1.0
+    """Times the scenario's own."""
     noise_m: float = 0.0
     """Standard deviation of the error in the others' positions."""
     noise_mps: float = 0.0
@@ -32,6 +34,7 @@ class SimConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             raise ValueError(f"seed {self.seed} is negative")
         if self.duration_s is not None and not (self.duration_s > 0 and math.isfinite(self.duration_s)):
             raise ValueError(f"duration_s {self.duration_s} is not a positive number")
+        SCENARIOS[self.scenario].denser(self.density)
         if not (self.noise_m >= 0 and self.noise_mps >= 0 and 0 <= self.dropout < 1):
             raise ValueError("noise_m and noise_mps must not be negative, and dropout must be within 0..1")
         if not 1 <= self.hz <= 100:

@@ -25,7 +25,7 @@ from sim_node import executor
 from sim_node.engine import bridge, kernel
 from sim_node.engine.accelerated import Accelerated
 from sim_node.metrics import CLOSING_MIN_MPS, TTC_CAP_S, leader
-from sim_node.observe import rows
+from sim_node.observe import perceived, rows
 from sim_node.scenarios import SCENARIOS, Scenario
 from sim_node.scenarios.scenario import Piece, centre_line, draw_wish, streams
 from sim_node.traffic import TrafficVehicle
@@ -116,8 +116,8 @@ class _Features(ObservationType):  # type: ignore[misc]
         wish, ego = env.wish, env.ego
         lanes = env.published_lanes()
         return features(
-            rows(env).tolist(), math.nan if wish.lane == ANY_LANE else lanes[wish.lane].y_m, wish.speed_mps,
-            wish.headway_s, ego.target_speed, ego.previous_lane >= 0,
+            env.perceived(rows(env)).tolist(), math.nan if wish.lane == ANY_LANE else lanes[wish.lane].y_m,
+            wish.speed_mps, wish.headway_s, ego.target_speed, ego.previous_lane >= 0,
             lanes[ego.target_lane].end_m - float(ego.position[0]))
 
 
@@ -144,12 +144,14 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
 
     def __init__(
         self, scenario: str | Scenario = "highway", *, decision_hz: int = 15, hz: int = 15,
-        duration_s: float | str | None = "scenario", guard: Guard | None = None, config: dict[str, Any] | None = None,
+        duration_s: float | str | None = "scenario", guard: Guard | None = None, density: float = 1.0,
+        noise_m: float = 0.0, noise_mps: float = 0.0, dropout: float = 0.0, config: dict[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
         """`scenario`: a name or your own; raises ValueError for an unknown name or rates that do not divide.
 
-        decision_hz: actions per second, a divisor of hz; hz: simulated ticks per second; guard: see `Guard`.
+        decision_hz: actions per second, a divisor of hz; hz: simulated ticks per second; guard: see `Guard`;
+        density: times the scenario's own; noise_m, noise_mps, dropout: see `observe.perceived`, in what is observed.
         """
         if isinstance(scenario, str):
             if scenario not in SCENARIOS:
@@ -158,8 +160,11 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         if decision_hz < 1 or hz % decision_hz:
             # highway-env would floor the quotient and let time drift.
             raise ValueError(f"decision_hz {decision_hz} does not divide {hz} ticks a second: use 1, 3, 5 or {hz}")
+        if density != 1.0:
+            scenario = scenario.denser(density)
         self.scenario = scenario
         self.guard = guard
+        self._imperfect = (noise_m, noise_mps, dropout)
         self._ticks_per_decision = hz // decision_hz
         self._duration_s = scenario.duration_s if isinstance(duration_s, str) else duration_s
         self._seed: int | None = None
@@ -202,6 +207,10 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         if all(len(plan.pieces) == 1 or plan.kind == "main" for plan in self.scenario.lanes):
             return self._lanes
         return self.scenario.lanes_at(float(self.ego.position[0]))
+
+    def perceived(self, table: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The rows as the ego's sensors report them."""
+        return perceived(table, self.perception, *self._imperfect) if any(self._imperfect) else table
 
     def define_spaces(self) -> None:
         self.observation_type = _Features(self)

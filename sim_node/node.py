@@ -11,7 +11,7 @@ from schemas.messages import Action, Event, MetaAction, Observation
 from sim_node.config import SimConfig
 from sim_node.env import ScenarioEnv
 from sim_node.metrics import TTC_CAP_S, EpisodeResult, Recorder
-from sim_node.observe import observe, perceived, rows
+from sim_node.observe import observe, rows
 from sim_node.scenarios import Scenario
 
 HOLD_TICKS = 2
@@ -48,7 +48,9 @@ class SimNode:
 
     def __init__(self, config: SimConfig) -> None:
         self._config = config
-        self._env = ScenarioEnv(config.scenario, hz=config.hz, decision_hz=config.hz, duration_s=None)
+        self._env = ScenarioEnv(
+            config.scenario, hz=config.hz, decision_hz=config.hz, duration_s=None, density=config.density,
+            noise_m=config.noise_m, noise_mps=config.noise_mps, dropout=config.dropout)
         self._env.tick(int(MetaAction.CRUISE))  # compiles or loads the engine: the first real tick is on time
         self._events: list[Event] = []
         self.metrics = Metrics()
@@ -131,9 +133,7 @@ class SimNode:
 
     def observation(self, now_ns: int) -> Observation:
         """What the ego sees at the current tick."""
-        c, table = self._config, self._rows
-        if c.noise_m or c.noise_mps or c.dropout:
-            table = perceived(table, self._env.perception, c.noise_m, c.noise_mps, c.dropout)
+        table = self._env.perceived(self._rows)
         return observe(
             self._env, table, epoch=self.epoch, tick=self.tick, applied_tick=self._applied_tick, now_ns=now_ns
         )

@@ -207,3 +207,18 @@ def test_a_lane_wish_of_the_user_replaces_the_random_ones() -> None:
     assert (env.wish.lane, env.wish.speed_mps) == (0, 20.0)
     assert observation[0, 14] == 1.0
     assert math.isfinite(float(observation[0, 8]))
+
+
+def test_density_draws_the_same_cars_closer_together() -> None:
+    usual, dense = (SCENARIOS["highway"].denser(f).spawn(streams(4)[0]) for f in (1.0, 2.0))
+    assert dense.x[1] - dense.x[0] == pytest.approx(0.5 * (usual.x[1] - usual.x[0]))
+    with pytest.raises(ValueError, match="density"):
+        SCENARIOS["highway"].denser(9.0)
+
+
+def test_noise_and_dropout_touch_what_is_seen_and_not_what_is_there() -> None:
+    clear, foggy = ScenarioEnv("highway"), ScenarioEnv("highway", noise_m=0.5, noise_mps=0.3, dropout=0.3)
+    (a, _), (b, _) = clear.reset(seed=4), foggy.reset(seed=4)
+    assert (a[0, 2:8] == b[0, 2:8]).all()  # the ego knows itself
+    assert b[:, 0].sum() < a[:, 0].sum()
+    assert [v.position.tolist() for v in clear.road.vehicles] == [v.position.tolist() for v in foggy.road.vehicles]

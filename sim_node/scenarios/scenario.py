@@ -7,7 +7,7 @@ Ranges are (low, high) of a uniform draw; of integers both ends are included.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -162,6 +162,21 @@ class Scenario:
                 raise ValueError(f"scenario {self.name!r}: a flow is on lane {flow.lane} of {len(self.lanes)} lanes")
         if not set(self.ego.lanes) <= set(range(len(self.lanes))) or not self.ego.lanes:
             raise ValueError(f"scenario {self.name!r}: ego lanes {self.ego.lanes} of {len(self.lanes)} lanes")
+
+    def denser(self, factor: float) -> Scenario:
+        """The same road with `factor` times the density: every gap and first distance is divided by it.
+
+        Raises ValueError unless 0.2 <= factor <= 3: beyond that cars would start inside each other.
+        """
+        if not 0.2 <= factor <= 3.0:
+            raise ValueError(f"density {factor} is not within 0.2..3")
+
+        def shorter(r: Range) -> Range:
+            return r[0] / factor, r[1] / factor
+
+        return replace(self, flows=tuple(
+            replace(f, gap_m=shorter(f.gap_m), gap_s=shorter(f.gap_s),
+                    first_m=f.first_m if f.start == "at" else shorter(f.first_m)) for f in self.flows))
 
     @property
     def vehicles_max(self) -> int:
