@@ -135,9 +135,10 @@ class Coordination:
             passed = wished_lane(rows, home, self._pass_id) == home and not any(
                 int(r[0]) == self._pass_id and r[1] > rows[0][1] for r in rows[1:])
             return passed and settled and observation.target_lane == home
-        slow_enough = math.isclose(rows[0][3], wish.speed_mps, abs_tol=SPEED_TOLERANCE_MPS)
+        no_speed = directive.target_speed_mps is None and directive.manoeuvre != "stop"
+        right_speed = no_speed or math.isclose(rows[0][3], wish.speed_mps, abs_tol=SPEED_TOLERANCE_MPS)
         borrowed_for_nothing = directive.manoeuvre == "overtake" and observation.lanes[max(home - 1, 0)].direction < 0
-        return settled and wish.lane in (ANY_LANE, observation.target_lane) and slow_enough and not borrowed_for_nothing
+        return settled and wish.lane in (ANY_LANE, observation.target_lane) and right_speed and not borrowed_for_nothing
 
     def _event(
         self, kind: Any, directive: Directive, observation: Observation, closure: Closure | None = None,

@@ -36,6 +36,12 @@ def through_traffic(lane: int, speed_mps: Range, target_mps: Range) -> Flow:
                 speed_mps=speed_mps, target_mps=target_mps)
 
 
+def slow(lane: int, at_m: Range, speed_mps: Range, probability: float = 1.0) -> Flow:
+    """One that keeps its lane and its speed: merging is not done with reaching the highway."""
+    return Flow(lane=lane, count=(1, 1), start="at", first_m=at_m, gap_m=(0.0, 0.0), speed_mps=speed_mps,
+                lane_changes=False, probability=probability)
+
+
 MERGE = Scenario(
     name="merge",
     description="from an on-ramp that ends onto a two-lane highway",
@@ -44,6 +50,7 @@ MERGE = Scenario(
     flows=(
         Flow(lane=2, count=(1, 1), start="ahead", first_m=(30.0, 50.0), gap_m=(0.0, 0.0), speed_mps=(13.5, 17.5),
              target_mps=(14.0, 18.0), probability=0.5),
+        slow(0, (120.0, 150.0), (10.0, 11.0)),
         through_traffic(0, (13.5, 17.5), (14.0, 18.0)),
         through_traffic(1, (13.5, 17.5), (14.0, 18.0)),
     ),
@@ -63,6 +70,7 @@ NATURAL = replace(
     flows=(
         Flow(lane=2, count=(1, 1), start="ahead", first_m=(40.0, 70.0), gap_m=(0.0, 0.0), speed_mps=(18.0, 22.0),
              target_mps=(20.0, 25.0), probability=0.5),
+        slow(0, (200.0, 240.0), (12.0, 14.0)),
         through_traffic(0, (21.0, 28.0), (21.0, 28.0)),
         through_traffic(1, (21.0, 28.0), (21.0, 28.0)),
     ),
@@ -80,6 +88,8 @@ MAIN = replace(
         Flow(lane="ego", count=(1, 1), start="ahead", first_m=(25.0, 40.0), gap_m=(0.0, 0.0), speed_mps=(11.0, 13.0)),
         Flow(lane="ego", count=(1, 2), start="behind", first_m=(25.0, 35.0), gap_m=(20.0, 30.0),
              speed_mps=(13.5, 17.5), not_faster_than_ego=True),
+        slow(0, (160.0, 180.0), (10.0, 11.0), probability=0.6),
+        slow(1, (160.0, 180.0), (10.0, 11.0), probability=0.6),
         Flow(lane=2, count=(1, 2), start="at", first_m=(30.0, 90.0), gap_m=(25.0, 40.0), speed_mps=(13.5, 17.5),
              target_mps=(14.0, 18.0)),
     ),

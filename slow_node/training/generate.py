@@ -345,24 +345,50 @@ class Generator:
         return text
 
     def _noisy(self, text: str, language: str) -> str:
-        """Slips of the finger and of the ear, hesitations, missing accents."""
+        """Slips of the finger and of the ear, hesitations, missing accents, chat shorthand, lost vowels and spaces."""
         roll = self._r.random()
-        if roll < 0.6 or language == "other":
+        if language == "other":
+            return self._slip(text) if roll > 0.85 and text.isascii() else text
+        if roll < 0.54:
             return text
         words = text.split(" ")
-        if roll < 0.66 and self._stock.words[language, "filler"]:
+        if roll < 0.59 and self._stock.words[language, "filler"]:
             words.insert(self._r.randrange(len(words) + 1), self._r.choice(self._stock.words[language, "filler"]))
             return " ".join(words)
-        if roll < 0.69:  # a stutter
+        if roll < 0.61:  # a stutter
             at = self._r.randrange(len(words))
             return " ".join([*words[: at + 1], *words[at:]])
-        if roll < 0.76:
+        if roll < 0.68:
             text = text.translate(_NO_ACCENTS)
             return re.sub(r"[^\w\s']", "", text).lower()
-        if language == "en" and roll < 0.88:
+        if language == "en" and roll < 0.76:
             return " ".join(self._r.choice((w, *_HEARD.get(w.lower(), (self._as_heard(w),)))) for w in words)
+        if roll < 0.84:
+            return self._as_texted(words, language)
         for _ in range(1 + len(text) // 30):
             text = self._slip(text)
+        return text
+
+    def _as_texted(self, words: list[str], language: str) -> str:
+        """A message typed in haste: shorthand, lost vowels, letters out of order, words run together."""
+        chat = _CHAT.get(language, {})
+        typed = []
+        for word in words:
+            roll, bare = self._r.random(), word.lower().strip(".,!?")
+            if bare in chat and roll < 0.7:
+                typed.append(self._r.choice(chat[bare]))
+            elif bare.isalpha() and len(bare) > 3 and roll < 0.22:
+                typed.append(bare[0] + re.sub(r"[aeiou](?=\w)", "", bare[1:]))
+            elif bare.isalpha() and len(bare) > 3 and roll < 0.5:
+                at = self._r.randrange(1, len(bare) - 1)
+                typed.append(bare[:at] + bare[at + 1] + bare[at] + bare[at + 2 :])
+            else:
+                typed.append(word)
+        text = typed[0]
+        glue = self._r.random() < 0.4
+        for word in typed[1:]:
+            text += word if glue and self._r.random() < 0.4 and not (text[-1].isdigit() or word[:1].isdigit()) \
+                else f" {word}"
         return text
 
     def _as_heard(self, word: str) -> str:
@@ -403,6 +429,27 @@ _HEARD = {
     "and": ("n", "an"),
     "want": ("wanna", "wan"), "because": ("cuz", "coz"), "it": ("et",), "pull": ("pool",), "over": ("ova",),
     "ease": ("is", "eez"),
+}
+_CHAT: dict[str, dict[str, tuple[str, ...]]] = {
+    "en": {"you": ("u", "ya"), "are": ("r",), "to": ("2",), "too": ("2",), "for": ("4",), "please": ("pls", "plz"),
+           "and": ("n", "&"), "because": ("cuz", "bc"), "your": ("ur",), "you're": ("ur",), "we're": ("were",),
+           "going": ("goin",), "right": ("rite", "rgt", "rt"), "left": ("lft",), "slow": ("slo",), "lane": ("ln",),
+           "fast": ("fst",), "faster": ("fstr", "fastr"), "slower": ("slowr", "slwr"), "before": ("b4",),
+           "great": ("gr8",), "late": ("l8",), "wait": ("w8",), "don't": ("dont", "dnt"), "never": ("nvr",),
+           "minutes": ("mins",), "tomorrow": ("tmrw",), "the": ("da", "th"), "this": ("dis",), "that": ("dat", "tht"),
+           "what": ("wat", "wht"), "with": ("w/", "wit"), "people": ("ppl",), "want": ("wanna",), "us": ("uz",),
+           "through": ("thru",), "now": ("nw",), "speed": ("spd",), "distance": ("dist",), "would": ("wud",),
+           "seconds": ("secs",), "overtake": ("ovrtake",), "more": ("mor",), "stop": ("stp",), "back": ("bk",)},
+    "de": {"nicht": ("nich", "net"), "ich": ("i",), "ein": ("n",), "eine": ("ne",), "bitte": ("bidde", "pls"),
+           "und": ("u", "n"), "mal": ("ma",), "schneller": ("schnela", "schnller"), "ist": ("is",), "wir": ("wa",)},
+    "fr": {"c'est": ("c",), "s'il": ("sil",), "plus": ("+",), "moins": ("-",), "pas": ("pa",), "je": ("j",),
+           "que": ("k",), "quoi": ("koi",), "vite": ("vit",), "doucement": ("dousmen",), "tu": ("t",), "suis": ("chui",)},
+    "es": {"que": ("q", "k"), "por": ("x",), "favor": ("fa",), "más": ("+", "mas"), "porque": ("xq",), "no": ("n",),
+           "rápido": ("rapido", "rpido"), "estamos": ("tamos",)},
+    "it": {"che": ("ke",), "non": ("nn",), "più": ("+", "piu"), "per": ("x",), "sono": ("sn",), "troppo": ("trp",)},
+    "pt": {"que": ("q",), "não": ("n", "nao"), "por": ("p",), "favor": ("fv",), "você": ("vc",), "mais": ("+", "mas"),
+           "está": ("tá", "ta"), "devagar": ("dvgr",)},
+    "nl": {"niet": ("nie", "ni"), "het": ("t",), "een": ("n",), "ik": ("k",), "even": ("ff",), "alsjeblieft": ("aub",)},
 }
 _SOUNDS = (("ck", "k"), ("ce", "se"), ("ee", "ea"), ("ea", "ee"), ("ss", "s"), ("ll", "l"), ("ght", "te"), ("ph", "f"),
            ("er", "a"), ("ing", "in"), ("th", "d"), ("wh", "w"), ("cc", "k"), ("oo", "u"), ("ai", "ay"), ("ke", "k"),

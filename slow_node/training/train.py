@@ -207,14 +207,14 @@ def plain_text(text: str) -> str:
     return " ".join(re.findall(r"\w+", fold(text)))
 
 
-def learn_spelling(network: Network, data: Data, seed: int, epochs: int = 6) -> None:
+def learn_spelling(network: Network, data: Data, seed: int, epochs: int = 6, rate: float = 3e-3) -> None:
     """The n-grams alone, on many more commands than the encoder has time for."""
     parts = [*network.sparse.parameters(), *network.top.parameters(), network.sparse_bias]
-    optimiser = torch.optim.Adam(parts, lr=3e-3)
+    optimiser = torch.optim.Adam(parts, lr=rate)
     r = random.Random(seed)
     for epoch in range(epochs):
         for group in optimiser.param_groups:
-            group["lr"] = 3e-3 * (1 - epoch / epochs)
+            group["lr"] = rate * (1 - epoch / epochs)
         for _, _, _, buckets, offsets, labels in data.batches(r, 128):
             loss = loss_of(by_head(network.spelling(buckets, offsets)), labels)
             optimiser.zero_grad()
@@ -250,8 +250,11 @@ def train(out: Path, size: int, epochs: int, seed: int, limit_s: float, start: P
     network = Network(weights.parent)
     if start is not None:
         restore(network, start)
-    else:
-        learn_spelling(network, Data(Generator(kept, seed + 2).samples(3 * size), None), seed)
+    spelling = Data(Generator(kept, seed + 2).samples(3 * size), None)
+    if start is None:
+        learn_spelling(network, spelling, seed)
+    else:  # new phrases bring new words; what is known already is hardly moved
+        learn_spelling(network, spelling, seed, epochs=2, rate=1e-3)
     print(f"n-grams alone: held-out exact {exact(*evaluate(network, check, dense=0.0)):.3f}", file=sys.stderr)
     data = Data(Generator(kept, seed).samples(size), tokenizer)
     # The n-grams know what they can know by now, and are dropped at times: they must not do the encoder's work.
