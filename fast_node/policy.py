@@ -49,9 +49,8 @@ class Policy:
 
     def logits(self, x: Array) -> Array:
         """(..., N, F) -> (..., 5) logits. Only the ego's row is read out, so the last layer computes only that row."""
-        if x.ndim == 2:  # rows of absent vehicles change nothing
-            x = x[x[:, 0] > 0]
-        return self._forward(x)[0]
+        here = x[..., 0] > 0  # rows of absent vehicles change nothing
+        return self._forward(x[here] if x.ndim == 2 else x[..., here.any(axis=tuple(range(x.ndim - 2))), :])[0]
 
     def attention(self, x: Array) -> Array:
         """(N, F) -> (H, N): how much the ego attends to each row in the last layer, per head; sums to 1 over N."""
