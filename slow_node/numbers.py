@@ -1,7 +1,9 @@
 """Numbers that a passenger says, as rules: in digits or words, with their units. Small models invent numbers.
 
-Words up to 199 are known in English, German, French, Spanish, Italian, Portuguese and Dutch, the tens in some more
-languages. What a number is for (a speed, a change of it, a time gap) is not decided here: see `slow_node.reader`.
+Words below a thousand are known in English, German, French, Spanish, Italian, Portuguese and Dutch, up to 199 in
+Swedish, Polish and Finnish, the tens in some more languages. Slips of the keyboard ("9O", "eigthy") are mended, and a
+time of day is no number. What a number is for (a speed, a change of it, a time gap) is not decided here: see
+`slow_node.reader`.
 """
 
 from __future__ import annotations
@@ -42,7 +44,10 @@ def spelled(language: str) -> dict[int, tuple[str, ...]]:
 
 def quantities(text: str) -> list[Quantity]:
     """Every number in a text, in the order in which they are said."""
-    folded = _SINGLES.sub(_run_together, fold(text))
+    folded = _without_clock(_mended(fold(text)))
+    if _HUNDREDS_HINT.search(folded):
+        folded = _hundreds_pattern().sub(_hundreds, folded)
+    folded = _SINGLES.sub(_run_together, folded)
     folded = _HALF_SECOND.sub(_half_second, _cjk_digits(folded))
     miles = re.search(r"\b(mph|mi/h|miles?|meilen?|millas?|miglia|milhas?|mijl|milles?)\b", folded) is not None
     found = []
@@ -84,8 +89,9 @@ def _is_speed(quantity: Quantity) -> bool:
 
 
 _UNITS: tuple[tuple[str, str], ...] = (
-    ("mps", r"m/s|mps|(?:met(?:er|re|ro|ri)s?|metern?|метр\w*)[ -](?:per|pro|par|por|al?|je|в)[ -](?:a )?"
-            r"(?:se[ckg]\w+|секунд\w*)"),
+    ("mps", r"m/s|mps|(?:met(?:er|re|ro|ri)s?|metern?|metr(?:y|ow|ia)|метр\w*)[ -](?:per|pro|par|por|al?|je|i|na|"
+    r"в)[ -](?:a )?"
+            r"(?:se[ckg]\w+|секунд\w*)|metria sekunnissa"),
     ("kmh", r"km\s?/\s?[hutg]\w*|kmh|kph|kmph|km h|stundenkilometern?|sachen|klicks?|clicks?|км/ч|км|公里|千米|キロ|"
         r"킬로\w*"
             r"|(?:kilom\w+|km|k|quilom\w+|chilom\w+|килом\w+)(?:[ -](?:per|an|a|pro|par|por|in der|in het|na|orari\w*|"
@@ -98,10 +104,10 @@ _UNITS: tuple[tuple[str, str], ...] = (
         r"o'?clock|am|pm|"
               r"degrees?|grad|euros?|dollars?|lanes?|spuren?|voies?|carril\w*|cors[ie]\w*|faixas?|ban(?:en|an)?|times|"
               r"cars?|car lengths?|people|years?|jahre?|th|st|nd|rd"),
-    ("second", r"s|secs?|sek|se[ckg]\w*ond\w*|segund\w*|seg|sekund\w*|seconden?|saniye|секунд\w*|秒\w*|초"),
+    ("second", r"s|secs?|sek|se[ckg]\w*ond\w*|segund\w*|seg|sekun[dt]\w*|seconden?|saniye|секунд\w*|秒\w*|초"),
     ("foot", r"feet|foot|ft|fuss|pieds?|pies"),
     ("yard", r"yards?|yds?"),
-    ("metre", r"m|met(?:er|re|ro|ri)s?|metern|metr(?:y|ow|a)?|метр\w*|米|メートル|미터"),
+    ("metre", r"m|met(?:er|re|ro|ri)s?|metern|metr(?:y|ow|a|ia)?|метр\w*|米|メートル|미터"),
 )
 _MEASURES: dict[str, tuple[Kind, float]] = {
     "mps": ("speed", 1.0), "kmh": ("speed", KMH), "mph": ("speed", MPH), "knot": ("speed", KNOT),
@@ -205,6 +211,8 @@ def _numbers() -> dict[str, int]:
         for n, spellings in spelled(language).items():
             for spelling in spellings:
                 words.setdefault(fold(spelling), n)
+    for n, spelling in (*_swedish(), *_polish(), *_finnish()):
+        words.setdefault(spelling, n)
     words.update({"eine": 1, "einer": 1, "une": 1, "una": 1, "uma": 1, "duas": 2, "null": 0, "zero": 0, "cero": 0,
                   "nul": 0, "a": 1, "two hundred": 200, "zweihundert": 200, "deux cents": 200, "doscientos": 200,
                   "duecento": 200, "duzentos": 200, "tweehonderd": 200, "three hundred": 300, "dreihundert": 300})
@@ -226,6 +234,164 @@ def _value(text: str) -> float:
     if text[0].isdigit():
         return float(text.replace(",", "."))
     return float(_numbers()[text])
+
+
+_SWEDISH = "ett tva tre fyra fem sex sju atta nio - elva tolv tretton fjorton femton sexton sjutton arton nitton"
+_POLISH_TENS = ("dwudziestu trzydziestu czterdziestu piecdziesieciu szescdziesieciu siedemdziesieciu osiemdziesieciu "
+                "dziewiecdziesieciu")
+_FINNISH = (
+    ("yksi kaksi kolme nelja viisi kuusi seitseman kahdeksan yhdeksan", "kymmenen", "kymmenta", "sata"),
+    ("yhta kahta kolmea neljaa viitta kuutta seitsemaa kahdeksaa yhdeksaa", "kymmenta", "kymmenta", "sataa"),
+    ("yhteen kahteen kolmeen neljaan viiteen kuuteen seitsemaan kahdeksaan yhdeksaan", "kymmeneen", "kymmeneen",
+     "sataan"),
+    ("yhden kahden kolmen neljan viiden kuuden seitseman kahdeksan yhdeksan", "kymmenen", "kymmenen", "sadan"),
+)
+"""As they are, as an amount (partitive), as an aim (illative), genitive: 1 to 9, 10, the end of 20 to 90, 100."""
+
+
+def _swedish() -> Iterator[tuple[int, str]]:
+    """1..199 but for the words that mean something else in other languages ("en", "tio")."""
+    low = _SWEDISH.split()
+    tens = _TENS["sv"].split()[1:9]
+    below = [(n, w) for n, w in enumerate(low, 1) if w != "-"]
+    below += [(20 + 10 * i, ten) for i, ten in enumerate(tens)]
+    below += [(20 + 10 * i + j, f"{ten}{joint}{low[j - 1]}")
+              for i, ten in enumerate(tens) for j in range(1, 10) for joint in ("", " ")]
+    yield from below[1:]
+    for head in ("hundra", "etthundra", "ett hundra"):
+        yield 100, head
+        yield from ((100 + n, f"{head}{joint}{word}") for n, word in (*below, (10, "tio")) for joint in ("", " "))
+
+
+def _polish() -> Iterator[tuple[int, str]]:
+    """1..199, as they are and as they follow "do" (the genitive)."""
+    plain = ("jeden dwa trzy cztery piec szesc siedem osiem dziewiec dziesiec jedenascie dwanascie trzynascie "
+             "czternascie pietnascie szesnascie siedemnascie osiemnascie dziewietnascie", _TENS["pl"].split()[1:9])
+    genitive = ("jednego dwoch trzech czterech pieciu szesciu siedmiu osmiu dziewieciu dziesieciu jedenastu dwunastu "
+                "trzynastu czternastu pietnastu szesnastu siedemnastu osiemnastu dziewietnastu",
+                _POLISH_TENS.split())
+    for (low_text, tens), head in ((plain, "sto"), (genitive, "stu")):
+        low = low_text.split()
+        below = list(enumerate(low, 1)) + [(20 + 10 * i, ten) for i, ten in enumerate(tens)]
+        below += [(20 + 10 * i + j, f"{ten} {low[j - 1]}") for i, ten in enumerate(tens) for j in range(1, 10)]
+        yield from below
+        yield 100, head
+        yield from ((100 + n, f"{head} {word}") for n, word in below)
+    yield 2, "dwie"
+
+
+def _finnish() -> Iterator[tuple[int, str]]:
+    """1..199 in four cases and in everyday speech ("kymppi")."""
+    for ones, ten, many, hundred in _FINNISH:
+        low = ones.split()
+        below = [*enumerate(low, 1), (10, ten), *((10 + n, f"{word}toista") for n, word in enumerate(low, 1))]
+        for n, word in list(enumerate(low, 1))[1:]:
+            for end in (many, "kymppia", "kymppi", "kymppiin"):
+                below.append((10 * n, f"{word}{end}"))
+                below += [(10 * n + m, f"{word}{end}{joint}{unit}") for m, unit in enumerate(low, 1)
+                          for joint in ("", " ")]
+        yield from below
+        yield 100, hundred
+        yield from ((100 + n, f"{hundred}{word}") for n, word in below)
+
+
+_MANY = {
+    "hundred": "two three four five six seven eight nine", "hundert": "zwei drei vier funf sechs sieben acht neun",
+    "cents?": "deux trois quatre cinq six sept huit neuf", "cento": "due tre quattro cinque sei sette otto nove",
+    "honderd": "twee drie vier vijf zes zeven acht negen",
+    "sataa": "kaksi kolme nelja viisi kuusi seitseman kahdeksan yhdeksan",
+    "hundra": "tva tre fyra fem sex sju atta nio",
+}
+_MANY_IRREGULAR = {
+    "doscient[oa]s": 200, "trescient[oa]s": 300, "cuatrocient[oa]s": 400, "quinient[oa]s": 500, "duzent[oa]s": 200,
+    "trezent[oa]s": 300, "quatrocent[oa]s": 400, "quinhent[oa]s": 500, "dwiescie": 200, "trzysta": 300,
+    "czterysta": 400, "piecset": 500, "dwustu": 200, "trzystu": 300,
+}
+
+
+_HUNDREDS_HINT = re.compile("hund|cent|cien|honderd|sataa|ientos|ientas|entos|entas|dwie|trzy|czterysta|piecset|dwustu")
+
+
+@cache
+def _hundreds_pattern() -> re.Pattern[str]:
+    """Hundreds with what follows them: "two hundred and ten", "zweihundertzehn", "1 hundred and 10"."""
+    heads = [rf"(?:{'|'.join(words.split())})[ -]?{hundred}" for hundred, words in _MANY.items()]
+    below = sorted((w for w, n in _numbers().items() if 0 < n < 100 and w != "a"), key=len, reverse=True)
+    head, rest = "|".join((*heads, *_MANY_IRREGULAR, "[1-9] ?hundred")), "|".join(map(re.escape, below))
+    return re.compile(rf"(?<![^\W_])(?P<head>{head})"
+                      rf"(?:(?: and | y | e | och |[ -]|)(?P<rest>\d{{1,2}}|{rest}))?(?![^\W_])")
+
+
+def _hundreds(match: re.Match[str]) -> str:
+    head, rest = match["head"], match["rest"]
+    value = next((n for pattern, n in _MANY_IRREGULAR.items() if re.fullmatch(pattern, head)), 0)
+    if head[0].isdigit():
+        value = 100 * int(head[0])
+    for hundred, words in _MANY.items():
+        if value == 0 and (found := re.fullmatch(rf"({'|'.join(words.split())})[ -]?{hundred}", head)):
+            value = 100 * (words.split().index(found[1]) + 2)
+    return str(value + (int(_value(rest)) if rest else 0))
+
+
+_ALIKE = re.compile(r"(?<![\w.,])(?=\w*[oli])(?=\w*\d)(?:\d|[li](?=[\do]{2}))(?:[\do]|[li](?=[\do]))*"
+                    r"(?=(?:km|kmh|kph|mph|m)?(?:/|\b))(?!')")
+
+
+@cache
+def _misspelled() -> dict[str, str]:
+    """The tens of seven languages with one letter lost, or two in the wrong order, to how they are spelled."""
+    right = {w for _, tens in _WORDS.values() for w in tens.split()} | {"hundred", "hundert", "honderd"}
+    wrong = {"fourty": "forty", "fourthy": "forty", "fivty": "fifty", "fity": "fifty", "sixy": "sixty",
+             "huntert": "hundert", "sisty": "sixty", "forteen": "fourteen"}
+    for word in sorted(w for w in right if len(w) >= 6):
+        for i in range(1, len(word) - 1):
+            wrong.setdefault(word[:i] + word[i + 1 :], word)
+            if i < len(word) - 2:
+                wrong.setdefault(word[:i] + word[i + 1] + word[i] + word[i + 2 :], word)
+    for word in right | set(_numbers()) | {"tenta"}:
+        wrong.pop(word, None)
+    return wrong
+
+
+def _mended(text: str) -> str:
+    """Look-alike letters as digits, slips in number words mended, words and digits apart."""
+    text = _ALIKE.sub(lambda m: m[0].translate(str.maketrans("oli", "011")), text.replace("\u00ad", ""))
+    text = re.sub(r"(?<=\d)(?=hundred\b)|(?<=\band)(?=\d)", " ", text)
+    text = re.sub(r"[a-z]{4,}", lambda m: _misspelled().get(m[0], m[0]), text)
+    text = re.sub(r"\bquatre[ -]vingts?(?=[ -])", "quatre-vingt", text)
+    return re.sub(r"\bdix (?=(?:sept|huit|neuf)\b)", "dix-", text)
+
+
+@cache
+def _clock_pattern() -> re.Pattern[str]:
+    words = sorted((w for w, n in _numbers().items() if 0 < n <= 24 and w != "a"), key=len, reverse=True)
+    minutes = (r"(?:5|10|15|20|25|five|ten|twenty(?:[ -]five)?|funf|zehn|zwanzig|vijf|tien|fem|tio|quarter|kwart|"
+               r"viertel)")
+    digits = r"(?:[01]?\d|2[0-4])"
+    hour = rf"(?:{digits}(?![\d.,:]\d|\d)|(?:{'|'.join(words)})(?![^\W_]))"
+    no_unit = r"(?! ?(?:km|k\b|mph|m\b|m/|s\b|se[ckg]|miles|kilo|%|knot|met[er]|faster|slower|more|less))"
+    events = (r"(?:start|begin|open|clos|shut|leav|depart|goes|due|board|land|end|finish|meeting|appointment|exam|"
+              r"flight|train|there|home|work)[a-z]*")
+    return re.compile("|".join((
+        rf"(?<![\d.,]){digits} ?(?:[:h]|uhr) ?[0-5]\d\b(?: ?(?:[ap]\.?m\b|uhr|h\b))?",
+        rf"(?<![\d.,]){digits}[.][0-5]\d ?(?:[ap]\.?m\b|uhr\b|h\b|uur\b)",
+        rf"\b(?:klo|kl\.?|klockan|kello|o godzinie) ?{digits}(?:[.:][0-5]\d)?\b",
+        rf"\b(?:klo|klockan|kello) {hour}",
+        rf"(?<![\d.,]){digits}h\b", rf"(?<!\d){digits} ?[\u70b9\u6642\u65f6\uc2dc]",
+        rf"\b{hour} (?:uhr|heures|horas|uur|o'? ?clock)\b(?: (?:et|y|e) (?:demie?|media|meia|quart|cuarto)|"
+        rf" (?:moins|menos) (?:le quart|cuarto|{minutes})| (?:trente|dix|vingt|quinze|dreissig|\d\d)\b{no_unit})?",
+        rf"\b(?:half past|half|halb|halv|puoli|wpol do|kvart (?:i|over)) {hour}{no_unit}"
+        r"(?! (?:a |as |second|sec|of|the))",
+        rf"(?<!from )(?<!von )\b{minutes} (?:to|past|vor|nach|voor|over) {hour}{no_unit}",
+        rf"\b(?:las|alle|sono le|sao|as(?= [^ ]+ (?:horas|e meia))) {hour}{no_unit}"
+        rf"(?: (?:y|e) (?:media|mezza|meia|cuarto|un quarto|{hour})| (?:menos|meno) (?:cuarto|un quarto|{hour}))?",
+        rf"\b{events}(?: (?!drive|go|speed|at\b)[a-z']+){{0,2}} (?:at|by|before|until|till) {hour}{no_unit}",
+    )))
+
+
+def _without_clock(text: str) -> str:
+    """Times of day are no speeds: "half past six", "18:30", "um acht Uhr", "the train leaves at ten"."""
+    return _clock_pattern().sub(" clock ", text)
 
 
 _CJK = {c: i for i, c in enumerate("零一二三四五六七八九")} | {"两": 2, "\u3007": 0}

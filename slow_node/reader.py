@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from slow_node.embedding import Embedder, MiniLmEmbedder
 from slow_node.numbers import Quantity, fold, quantities
-from slow_node.slots import Slots
+from slow_node.slots import LaneWish, Slots
 
 HEADS: dict[str, tuple[str, ...]] = {
     "outcome": ("directive", "refused", "out_of_scope", "unclear"),
@@ -62,6 +62,7 @@ class Reader:
     def __init__(self, embedder: MiniLmEmbedder) -> None:
         self._embedder = embedder
         self._w = embedder.delta
+        quantities("two hundred")  # compiles the patterns of numbers, which takes a second, before anybody speaks
 
     @classmethod
     def load(cls, embedder: Embedder) -> Reader | None:
@@ -87,6 +88,7 @@ class Reader:
             "overtake": {"none": None, "true": True, "false": False}[value["overtake"]],
             "cancel": value["cancel"] == "true", "language": language,
         })
+        slots = on_the_side_said(slots, command)
         slots = with_numbers(slots, value["number"], quantities(command), speed_mps, limit_mps)
         if slots.wishes_nothing():
             return self._likeliest(probabilities, language, refused)
@@ -118,6 +120,23 @@ class Reader:
             found[name] = part / part.sum()
             at += len(classes)
         return found
+
+
+_OPPOSITE: dict[str, LaneWish] = {"left": "right", "right": "left", "leftmost": "rightmost", "rightmost": "leftmost"}
+_EAST_ASIAN = {"left": re.compile("\u5de6|\u3072\u3060\u308a|\uc67c\ucabd"),
+               "right": re.compile("\u53f3|\u307f\u304e|\uc624\ub978\ucabd")}
+_TURNED_ROUND = re.compile("[\u4e0d\u522b\u53e6\u53cd\u4ece\u5225]|\u3058\u3083|\u306a\u3044|\u304b\u3089|"
+                           "\ub9d0\uace0|\uc544\ub2c8|\ubc18\ub300")
+"""Not, other, from: words after which the side named may not be the side meant."""
+
+
+def on_the_side_said(slots: Slots, command: str) -> Slots:
+    """The side that a Chinese, Japanese or Korean sentence names, if it names one and denies nothing."""
+    said = [side for side, pattern in _EAST_ASIAN.items() if pattern.search(command)]
+    opposite = _OPPOSITE.get(slots.lane)
+    if len(said) != 1 or opposite is None or slots.lane.startswith(said[0]) or _TURNED_ROUND.search(command):
+        return slots
+    return slots.model_copy(update={"lane": opposite})
 
 
 def with_numbers(slots: Slots, role: str, said: list[Quantity], speed_mps: float, limit_mps: float) -> Slots:

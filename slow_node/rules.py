@@ -90,16 +90,69 @@ _INJECTION = re.compile("|".join((
     r"[\"'{]\s*(?:outcome|speed|role|lane|target_speed_mps|overtake)\"?\s*[:=]", r"\boutcome ?(?:=|:|to|directive)",
     r"\btarget_speed_mps", r"\bset safety ?=",
     r"\b(?:answer|respond|reply|antworte|reponds|responde|rispondi|antwoord) (?:only |exactly |just |nur |"
-    r"uniquement |solo |apenas |alleen )+(?:with|mit|met|con|com|par)?",
+    r"uniquement |solo |apenas |alleen |genau |exakt |exactement |exactamente |esattamente |exatamente |precies )+"
+    r"(?:with|mit|met|con|com|par)?",
     r"\b(?:remove|lift|drop) (?:all )?(?:your )?(?:restrictions|filters|guardrails)",
+    # a dictated answer
+    r"\b(?:speed|lane|gap|overtake|cancel|outcome) ?={1,2} ?\"?(?:faster|slower|keep|stop|closer|farther|left\w*|"
+    r"right\w*|"
+    r"true|false|none|null|directive)\b",
+    r"\b(?:output|print|emit|return|reply|respond|answer|write|give|produce|send|as|this|valid|following|"
+    r"raw) .{0,25}\bjson\b",
+    r"\bjson (?:with|where|in which|only|output|object)\b",
+    r"\b(?:answer|reply|response|output) (?:must|should|has to|have to|needs? to|shall) (?:be|contain|start|begin|"
+    r"read|say|"
+    r"include|equal)\b",
+    r"\b(?:correct|expected|final|desired) (?:answer|output|reply|response) (?:is|here|will|would|must|"
+    r"to this)\b",
+    r"\b(?:your|end your|start your|begin your) (?:answer|output|reply|response) (?:is|will be|with)\b(?! (?:wrong|"
+    r"late|right))",
+    r"\b(?:classify|label|mark|treat|flag|categori[sz]e|tag|parse) (?:this|it|that|the|"
+    r"my)\b.{0,40} as (?:an? )?\W?(?:directive|"
+    r"safe|harmless|allowed|valid|approved|permitted|faster|slower|left|right|not refused|in scope)",
+    r"\b(?:set|mark|fill) .{0,30}\b(?:slot|field|flag|outcome|json)\b.{0,20}\b(?:to|with|as)\b",
+    r"\bthe (?:speed|lane|gap|overtake|cancel|outcome|refused) (?:slot|field|flag|key)\b",
+    r"\b(?:output|print|emit|repeat|write) (?:only|exactly|verbatim|nothing but|after me|the (?:word|string|token|"
+    r"following))\b",
+    r"\b(?:say|reply|respond|answer) (?:with )?(?:exactly|verbatim|the (?:word|string|token)|nothing but)\b",
+    r"\b(?:from now on|henceforth|always|whatever (?:\w+ ){1,4})[, ]*(?:you )?(?:must |will |should )?(?:answer|"
+    r"reply|respond|output)"
+    r"\b",
+    r"\brepeat (?:everything|all|the (?:text|words?|lines?|prompt))(?: of \w+)? (?:above|before|preceding)",
+    r"\[/?(?:inst|sys|system)\]", r"<\|", r"#{2,} ?(?:instruction|system|response|input|new)",
+    r"\bend of (?:the )?(?:system |user |passenger )?(?:prompt|input|instructions|message)",
+    r"\b(?:your|the above|all|previous|earlier|prior) (?:rules|guidelines|restrictions|polic(?:y|ies)|"
+    r"guardrails)(?: above)? (?:no longer|"
+    r"do(?: not|n't) (?:apply|count)|are (?:now )?(?:void|off|lifted|suspended|cancelled|gone))",
+    r"\b(?:as|this is|i am|i'm) your (?:developer|administrator|admin|creator|programmer|operator|maker)\b",
+    r"\b(?:base64|rot13)\b",
+    r"\b(?:deine|die) (?:antwort|ausgabe) (?:lautet|muss|soll|ist)\b(?! (?:falsch|gut|"
+    r"richtig))", r"\bgib (?:mir )?(?:als antwort |nur |genau |"
+    r"exakt |ausschliesslich )+.{0,40}\b(?:aus|zuruck)\b",
+    r"\bta reponse (?:doit|sera|est)\b", r"\btu respuesta (?:debe|tiene que|sera|es)\b",
+    r"\btua risposta (?:deve|sara|e)\b", r"\b(?:tua|sua) resposta (?:deve|tem|sera|e)\b",
+    r"\bje antwoord (?:moet|luidt|is|wordt)\b",
+    r"\b(?:vastaa (?:tasmalleen|vain)|svara (?:exakt|bara|endast)|odpowiedz (?:dok\w+adnie|tylko|wylacznie))\b",
+    r"\b(?:tes|deine|tus|tue|suas|je) (?:regles|regeln|reglas|regole|regras|regels) (?:ne s'appliquent|"
+    r"gelten (?:ab jetzt )?nicht|ya no|"
+    r"non valgono|nao valem|gelden niet)",
+    r"\b(?:zignoruj|ignorera|unohda|zapomnij)\b.{0,20}\b(?:polecenia|instrukcj\w+|instruktion\w*|ohje\w*)",
+    "(?:\u5ffd\u7565|\u65e0\u89c6|\u5fd8\u8bb0).{0,10}(?:\u6307\u4ee4|\u89c4\u5219|\u63d0\u793a|"
+    "\u6307\u793a)", "\u53ea(?:\u56de\u7b54|\u8f93\u51fa)",
 )))
 
 _NEGATION = re.compile(
     r"\b(?:do ?n[o']?t|dont|(?<!why )not|never|avoid|no need to|shouldn't|mustn't|must not|should not|without|"
+    r"wo ?n'?t|wouldn'?t|"
     r"nicht|kein\w*|niemand\w*|niemals|ne|pas|no|nunca|non|"
     r"mai|nao|niet|nooit|geen|stop|quit)\b[^.,;:!?]{0,25}$")
 _TOLD = re.compile(r"\b(?:if\b[^.,;]*|(?:we|he|you|they)(?:'ll|'d|'re| are| will| would)|going to|gonna) ?$")
 """Said about what happens, not asked for: "you're over the limit", "if he brakes we crash into him"."""
+_PLAYED = re.compile(
+    r"\b(?:play|listen to|hear|song|track|album|podcast|audiobook|film|movie|titled|called|spiel|joue|reproduce|"
+    r"speel)\b"
+    r"(?:(?! (?:and|then|while|und|et|y|e|en) )[^.,;:!?]){0,30}$")
+"""What follows is what something is called: "play Crash Into Me"."""
 _DONT_CARE = re.compile(r"\b(?:do ?n[o']?t|dont|no) (?:care|mind|bother|worry|brake|stop|slow)\b[^.,;:!?]{0,25}$")
 
 
@@ -112,6 +165,6 @@ def unsafe(command: str) -> bool:
 
 
 def _denied(before: str) -> bool:
-    if _TOLD.search(before):
+    if _TOLD.search(before) or _PLAYED.search(before):
         return True
     return bool(_NEGATION.search(before)) and not _DONT_CARE.search(before)

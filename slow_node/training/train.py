@@ -235,8 +235,12 @@ def restore(network: Network, folder: Path) -> None:
         network.sparse_bias.copy_(tensors["sparse.bias"].float())
 
 
-def train(out: Path, size: int, epochs: int, seed: int, limit_s: float, start: Path | None) -> dict[str, float]:
-    """Train and write weights and sidecar into a folder; held-out figures."""
+def train(out: Path, size: int, epochs: int, seed: int, limit_s: float, start: Path | None,
+          kept_of_start: float = 0.0) -> dict[str, float]:
+    """Train and write weights and sidecar into a folder; held-out figures.
+
+    `kept_of_start`: the share of the earlier weights in the weighted mean with the new ones that is written.
+    """
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     weights = package_file(WEIGHTS_PACKAGE, "model/model.safetensors")
@@ -250,6 +254,7 @@ def train(out: Path, size: int, epochs: int, seed: int, limit_s: float, start: P
     network = Network(weights.parent)
     if start is not None:
         restore(network, start)
+    before = {name: value.detach().clone() for name, value in network.named_parameters()}
     spelling = Data(Generator(kept, seed + 2).samples(3 * size), None)
     if start is None:
         learn_spelling(network, spelling, seed)
@@ -286,9 +291,13 @@ def train(out: Path, size: int, epochs: int, seed: int, limit_s: float, start: P
                 rate = step * BATCH / (time.monotonic() - began)
                 print(f"{step}/{steps} loss {float(loss.detach()):.3f}, {rate:.0f}/s", file=sys.stderr)
         print(f"epoch {epoch + 1}: held-out exact {exact(*evaluate(network, check)):.3f}", file=sys.stderr)
+    with torch.no_grad():
+        for name, value in network.named_parameters():
+            value.lerp_(before[name], kept_of_start if start is not None else 0.0)
     logits, labels = evaluate(network, check)
     figures = {"held_out_exact": exact(logits, labels), "held_out": float(len(labels)), "seed": float(seed),
-               "commands": float(len(data.samples)), "epochs": float(epochs)}
+               "commands": float(len(data.samples)), "epochs": float(epochs),
+               "kept_of_start": kept_of_start}
     figures |= {f"accuracy_{name}": float((v.argmax(1) == labels[:, c]).float().mean())
                 for c, (name, v) in enumerate(logits.items())}
     save(network, out, temperatures(logits, labels), figures)
@@ -318,8 +327,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--limit", type=float, default=1200.0, help="seconds; the schedule is shortened to end by then")
     parser.add_argument("--start", type=Path, help="folder of earlier weights to go on from")
+    parser.add_argument("--keep", type=float, default=0.35, help="share of those in the mean that is written")
     options = parser.parse_args()
-    print(json.dumps(train(options.out, options.size, options.epochs, options.seed, options.limit, options.start)))
+    print(json.dumps(train(options.out, options.size, options.epochs, options.seed, options.limit, options.start,
+                           options.keep if options.start else 0.0)))
 
 
 if __name__ == "__main__":
