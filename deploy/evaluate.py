@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from fast_node.mask import OPEN, lane_table
 from fast_node.policy import SHIPPED, load_policy
 from fast_node.rule import rule_logits
-from fast_node.training.rollout import Driver, Fleet, Task
+from fast_node.training.rollout import DECISION_TICKS, Driver, Fleet, Task
 from schemas.messages import POLICY_ACTIONS, MetaAction
 from schemas.wish import ANY_LANE
 from sim_node.engine.batched import Batched
@@ -73,9 +74,10 @@ def constant(action: MetaAction) -> Logits:
 
 
 def uniform(seed: int) -> Logits:
-    """A driver that draws every decision at random."""
-    rng = np.random.default_rng(seed)
-    return lambda x: rng.random((len(x), POLICY_ACTIONS), np.float32)
+    """A driver that draws one of the five actions once a second, and holds in between."""
+    rng, calls = np.random.default_rng(seed), itertools.count()
+    hold = constant(MetaAction.CRUISE)
+    return lambda x: rng.random((len(x), POLICY_ACTIONS), np.float32) if next(calls) % DECISION_TICKS == 0 else hold(x)
 
 
 AGENTS: dict[str, str] = {
@@ -85,7 +87,7 @@ AGENTS: dict[str, str] = {
     "idm": "highway-env's IDM and MOBIL in the ego's place",
     "cruise": "never acts", "faster": "always speeds up", "slower": "always slows down",
     "left": "always wants left", "right": "always wants right",
-    "brake": "stops at once", "random": "draws every decision",
+    "brake": "stops at once", "random": "draws an action every second",
 }
 """What drives, by name; only `ours` and `rule` are behind the mask."""
 _CONSTANT = {"cruise": MetaAction.CRUISE, "faster": MetaAction.SPEED_UP, "slower": MetaAction.SLOW_DOWN,
