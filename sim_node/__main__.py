@@ -33,8 +33,7 @@ FAREWELL_S = 0.5
 
 REHEARSALS_NS = (1_500_000, 800_000, 350_000)
 """Ticks are announced this long before they are due, so that the fast node runs through one, cold caches and all.
-Caches are cold again within a millisecond of idleness: one rehearsal gains a quarter of the round trip, three another
-fifth, more nothing."""
+Caches are cold again within a millisecond of idleness: the last rehearsal gains the most, the earlier ones a little."""
 
 
 class RehearsingClock(MonotonicClock):

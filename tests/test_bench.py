@@ -15,6 +15,7 @@ import pytest
 
 from deploy.bench import figures, latency, scale
 from deploy.bench.peers import PeerConfig, near_end
+from schemas.clock import ManualClock, MonotonicClock
 from schemas.codec import rows_of
 from schemas.messages import Lane, Observation
 from schemas.process import ConfigError
@@ -144,9 +145,11 @@ class Announced:
 
 
 @pytest.mark.parametrize(("ahead_ns", "times"), [(50_000_000, len(REHEARSALS_NS)), (-1, 0)])
-def test_a_tick_is_announced_unless_it_is_late(ahead_ns: int, times: int) -> None:
-    announced = Announced()
-    RehearsingClock(announced).sleep_until(time.monotonic_ns() + ahead_ns)  # type: ignore[arg-type]
+def test_a_tick_is_announced_unless_it_is_late(ahead_ns: int, times: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    announced, manual = Announced(), ManualClock()
+    monkeypatch.setattr(MonotonicClock, "now_ns", lambda _: manual.now_ns())
+    monkeypatch.setattr(MonotonicClock, "sleep_until", lambda _, due_ns: manual.sleep_until(due_ns))
+    RehearsingClock(announced).sleep_until(ahead_ns)  # type: ignore[arg-type]
     assert announced.times == times
 
 
