@@ -54,6 +54,16 @@ def test_the_rule_behind_the_mask_never_collides_and_doing_nothing_mostly_does()
         assert np.mean([r.collided for r in drive("cruise", SCENARIOS[name], seeds)]) > 0.5
 
 
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_no_scene_is_trivial_and_none_is_hopeless(name: str) -> None:
+    scenario, seeds = SCENARIOS[name], range(1000, 1040)
+    for same in ("cruise", "faster", "slower", "left", "right"):
+        assert np.mean([r.success for r in drive(same, scenario, seeds)]) <= scenario.expect.constant_success_max, same
+    runs = [drive(driver, scenario, seeds) for driver in ("idm", "rule", "brake")]
+    survived = [any(not r.collided for r in one) for one in zip(*runs, strict=True)]
+    assert np.mean(survived) >= scenario.expect.survivable
+
+
 def test_idm_survives_where_cruising_does_not() -> None:
     assert not any(r.collided for r in drive("idm", SCENARIOS["highway"], range(1000, 1030)))
 

@@ -222,3 +222,11 @@ def test_noise_and_dropout_touch_what_is_seen_and_not_what_is_there() -> None:
     assert (a[0, 2:8] == b[0, 2:8]).all()  # the ego knows itself
     assert b[:, 0].sum() < a[:, 0].sum()
     assert [v.position.tolist() for v in clear.road.vehicles] == [v.position.tolist() for v in foggy.road.vehicles]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_two_cars_start_inside_each_other(name: str) -> None:
+    for seed in range(50):
+        s = SCENARIOS[name].spawn(streams(seed)[0])
+        for lane in set(s.lane.tolist()):
+            assert np.diff(np.sort(s.x[s.lane == lane])).min(initial=99.0) >= 15.0

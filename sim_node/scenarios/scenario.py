@@ -19,6 +19,8 @@ from schemas.wish import ANY_LANE
 
 Range = tuple[float, float]
 CAR_LENGTH_M = 5.0
+CLEAR_M = 15.0
+"""A car that would start nearer than this to one that is already there, centre to centre, is left out."""
 ALWAYS = -math.inf
 
 
@@ -235,7 +237,8 @@ class Scenario:
                         speed = min(speed, ego_speed)
                     gap = rng.uniform(*flow.gap_m) + rng.uniform(*flow.gap_s) * speed
                     at += way * (rng.uniform(*flow.first_m) if i == 0 else gap)
-                    cars.append((at, lane, speed, target, flow.lane_changes))
+                    if all(abs(at - x) >= CLEAR_M for x, k, *_ in cars if k == lane):
+                        cars.append((at, lane, speed, target, flow.lane_changes))
         x, lane_of, speeds, targets, changes = (np.array(column) for column in zip(*cars, strict=True))
         targets[0] = speeds[0]
         directions = np.array([plan.direction for plan in self.lanes], np.int64)
