@@ -30,17 +30,18 @@ Bools = NDArray[np.bool_]
 def reward(
     speed: Floats, v_des: Floats, speed_range: float, accel_square: Floats, acted: Bools, in_wished_lane: Bools,
     ttc_s: Floats,
-    short: Floats, braked: Bools, crashed: Bools,
+    short: Floats, braked: Bools, crashed: Bools, seconds: float = 1.0,
 ) -> NDArray[np.float32]:
-    """(S,) reward of one second; a step of 1/15 s earns a fifteenth of the running terms.
+    """(S,) reward of one decision that lasted `seconds`; what happens once (an action, a brake, a crash) counts whole.
 
-    speed: mean over the second [m/s]; v_des [m/s]; speed_range: what the efficiency term divides by [m/s];
+    speed: mean over the decision [m/s]; v_des [m/s]; speed_range: what the efficiency term divides by [m/s];
     accel_square: mean of a^2 [(m/s2)^2]; acted: any action but CRUISE; in_wished_lane: aims for it, or none is wished;
     ttc_s: the smallest time to collision meanwhile; short: mean of `shortfall`; braked: the mask braked at some tick.
     """
     slow = np.abs(speed - v_des) / speed_range * np.where(speed > v_des, OVERSPEED, 1.0)
-    total = (0.6 - slow + LANE * in_wished_lane + COMFORT * accel_square + STEP * acted + BRAKE * braked
-             + NEAR * np.clip(1.0 - ttc_s / NEAR_S, 0.0, 1.0) + SHORT * short + CRASH * crashed)
+    running = (0.6 - slow + LANE * in_wished_lane + COMFORT * accel_square
+               + NEAR * np.clip(1.0 - ttc_s / NEAR_S, 0.0, 1.0) + SHORT * short)
+    total = seconds * running + STEP * acted + BRAKE * braked + CRASH * crashed
     return np.asarray(SCALE * total, np.float32)
 
 

@@ -240,7 +240,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
                 break
         seconds = (k + 1) / self.hz
         self._rewarded = self._earned(
-            int(action), (float(self.ego.position[0]) - distance) / seconds, effort / (k + 1), braked) * seconds
+            int(action), (float(self.ego.position[0]) - distance) / seconds, effort / (k + 1), braked, seconds)
         self._follow()
         observation = self.observation_type.observe()
         if self.render_mode == "human":
@@ -341,7 +341,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
             self._draw()
         self._update_wish()
 
-    def _earned(self, action: int, speed: float, accel_square: float, braked: bool) -> float:
+    def _earned(self, action: int, speed: float, accel_square: float, braked: bool, seconds: float) -> float:
         one = np.asarray
         gap, closing = leader(rows(self)[None], np.array([self.ego.target_lane]))
         ttc = float(gap[0] / closing[0]) if closing[0] > CLOSING_MIN_MPS else TTC_CAP_S
@@ -350,7 +350,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         return float(reward(
             one(speed), one(self.wish.speed_mps), 0.5 * self.scenario.ego.speed_ceiling_mps, one(accel_square),
             one(action != MetaAction.CRUISE), one(lane in (ANY_LANE, self.ego.target_lane)), one(ttc), one(short),
-            one(braked), one(self.ego.crashed)))
+            one(braked), one(self.ego.crashed), seconds))
 
     def _reward(self, action: int) -> float:
         return self._rewarded

@@ -166,15 +166,21 @@ def test_cars_start_behind_the_ego_too(name: str) -> None:
 
 
 def earned(speed: float, v_des: float, accel2: float = 0.0, acted: bool = False, in_lane: bool = True,
-           ttc_s: float = 100.0, short: float = 0.0, braked: bool = False, crashed: bool = False) -> float:
+           ttc_s: float = 100.0, short: float = 0.0, braked: bool = False, crashed: bool = False,
+           seconds: float = 1.0) -> float:
     one = np.asarray
     return float(reward(one(speed), one(v_des), 0.5 * v_des, one(accel2), one(acted), one(in_lane), one(ttc_s),
-                        one(short), one(braked), one(crashed)))
+                        one(short), one(braked), one(crashed), seconds))
 
 
 def test_a_second_of_reward_is_of_the_size_of_one() -> None:
     assert 0.05 < earned(28.0, 28.0) < 0.2
     assert -2.0 < earned(0.0, 28.0, 36.0, True, False, 0.0, 1.0, True, True) < -1.0
+
+
+def test_a_crash_costs_the_same_at_every_decision_rate() -> None:
+    cost = [earned(20.0, 28.0, seconds=t) - earned(20.0, 28.0, seconds=t, crashed=True) for t in (1.0, 1 / 15)]
+    assert cost == [pytest.approx(1.0), pytest.approx(1.0)]
 
 
 def test_parking_in_the_wished_lane_earns_less_than_driving_outside_it() -> None:

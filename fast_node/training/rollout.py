@@ -232,9 +232,9 @@ class Scenes(Fleet):
         self.age += 1
         seconds = self._ticks / DECISION_TICKS
         speed = (w.rows[:, 0, 1] - start_x).astype(np.float64) / seconds
-        earned = np.float32(seconds) * reward(
+        earned = reward(
             speed, self.v_des, self.task.speed_range, effort / self._ticks, action != MetaAction.CRUISE,
-            (self.wish == ANY_LANE) | (w.target_lane == self.wish), ttc, short, braked, w.crashed)
+            (self.wish == ANY_LANE) | (w.target_lane == self.wish), ttc, short, braked, w.crashed, seconds)
         over = self.over()
         terminated = w.crashed.copy()
         # The goal and the road's end cut an episode off: what would come after is worth what the value says.
