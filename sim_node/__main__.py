@@ -114,7 +114,7 @@ class Loop:
             "ticks": m.ticks, "answered": m.answered, "missed": self._trips.missed, "collisions": m.collisions,
             "rtt_p50_us": float(p50), "rtt_p99_us": float(p99), "skipped": self._schedule.skipped,
             "episodes": m.episodes, "holds": m.holds, "failsafes": m.failsafes, "passed": m.passed,
-            "min_ttc_s": m.min_ttc_s,
+            "reached": m.reached, "struck": m.struck, "min_ttc_s": m.min_ttc_s,
         }  # fmt: skip
 
 

@@ -10,9 +10,8 @@ import numpy as np
 from schemas.messages import Action, Event, MetaAction, Observation
 from sim_node.config import SimConfig
 from sim_node.env import ScenarioEnv
-from sim_node.metrics import TTC_CAP_S, EpisodeResult, Recorder
+from sim_node.metrics import TTC_CAP_S, Recorder
 from sim_node.observe import observe, rows
-from sim_node.scenarios import Scenario
 
 HOLD_TICKS = 2
 """An action may be this many ticks old, and without one the set-points hold for this many ticks."""
@@ -51,7 +50,6 @@ class SimNode:
         self._env = ScenarioEnv(
             config.scenario, hz=config.hz, decision_hz=config.hz, duration_s=None, density=config.density,
             noise_m=config.noise_m, noise_mps=config.noise_mps, dropout=config.dropout)
-        self._env.tick(int(MetaAction.CRUISE))  # compiles or loads the engine: the first real tick is on time
         self._events: list[Event] = []
         self.metrics = Metrics()
         self._recorder = Recorder(self._env.scenario, 1, config.hz)
@@ -61,16 +59,6 @@ class SimNode:
         """Why the episode has ended; empty while it runs."""
         self._applied_tick = -1
         self._unanswered = 0
-
-    @property
-    def scenario(self) -> Scenario:
-        """What is driven."""
-        return self._env.scenario
-
-    @property
-    def episode(self) -> EpisodeResult:
-        """The numbers of the running episode so far."""
-        return self._recorder.results()[0]
 
     @property
     def speed_mps(self) -> float:
