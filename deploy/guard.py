@@ -5,7 +5,6 @@ from __future__ import annotations
 from fast_node.mask import OPEN, close_actions, lane_table
 from schemas.messages import MetaAction
 from sim_node.env import ScenarioEnv
-from sim_node.observe import rows
 
 _INSTEAD = (MetaAction.CRUISE, MetaAction.SLOW_DOWN, MetaAction.SPEED_UP, MetaAction.LEFT, MetaAction.RIGHT)
 
@@ -14,7 +13,7 @@ def safety_mask(env: ScenarioEnv, meta: int) -> int:
     """The action itself if the mask leaves it open, else the mildest open one, else EMERGENCY_BRAKE."""
     ego, lanes = env.ego, lane_table(env.published_lanes())
     rule, vehicle = [0] * 6, [-1] * 6
-    close_actions(rows(env).tolist(), lanes, ego.target_speed, ego.target_lane, ego.previous_lane,
+    close_actions(env.seen().tolist(), lanes, ego.target_speed, ego.target_lane, ego.previous_lane,
                   env.scenario.sight_m, [0] * (3 * len(lanes)), rule, vehicle)
     if rule[meta] == OPEN:
         return meta

@@ -11,7 +11,7 @@ from typing import Any
 from fast_node.mask import REAR_GAP, RULES
 from schemas.clock import NS
 from schemas.messages import Closure, Directive, Event, MetaAction, Observation
-from schemas.wish import ANY_LANE, Wish, wished_lane
+from schemas.wish import ANY_LANE, Wish, lead_of, wished_lane
 
 SPEED_TOLERANCE_MPS = 0.5
 
@@ -110,10 +110,7 @@ class Coordination:
         wanted = directive.target_speed_mps
         self._eager = directive.manoeuvre == "overtake" or (wanted is not None and wanted > self._cruise_mps)
         if directive.manoeuvre == "overtake":
-            home = self._home(observation)
-            ahead = [r for r in rows[1:] if int(r[8]) == home and r[3] > -0.1 and r[1] > rows[0][1]]
-            if ahead:
-                self._pass_id = int(min(ahead, key=lambda r: r[1])[0])
+            self._pass_id = lead_of(rows, self._home(observation))
 
     @staticmethod
     def _home(observation: Observation) -> int:

@@ -22,6 +22,12 @@ class Wish:
     headway_s: float
 
 
+def lead_of(rows: Any, lane: int) -> int:
+    """Id of the nearest car ahead of the ego in `lane` that drives our way; -1 where there is none. rows: (V, 9)."""
+    ahead = [r for r in rows[1:] if r[0] > 0 and int(r[8]) == lane and r[3] > -0.1 and r[1] > rows[0][1]]
+    return int(min(ahead, key=lambda r: float(r[1]))[0]) if ahead else -1
+
+
 def wished_lane(rows: Any, home: int, pass_id: int) -> int:
     """The lane to be in while overtaking the car `pass_id` from lane `home`: beside it until it is passed, then home.
 

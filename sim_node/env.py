@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from schemas.features import BOUND, FEATURES, N_ROWS, features
 from schemas.messages import POLICY_ACTIONS, Lane, MetaAction
 from schemas.reward import reward, shortfall
-from schemas.wish import ANY_LANE, Wish, wished_lane
+from schemas.wish import ANY_LANE, Wish, lead_of, wished_lane
 from sim_node import executor
 from sim_node.engine import bridge, kernel
 from sim_node.engine.accelerated import Accelerated
@@ -116,7 +116,7 @@ class _Features(ObservationType):  # type: ignore[misc]
         wish, ego = env.wish, env.ego
         lanes = env.published_lanes()
         return features(
-            env.perceived(rows(env)).tolist(), math.nan if wish.lane == ANY_LANE else lanes[wish.lane].y_m,
+            env.seen().tolist(), math.nan if wish.lane == ANY_LANE else lanes[wish.lane].y_m,
             wish.speed_mps, wish.headway_s, ego.target_speed, ego.previous_lane >= 0,
             lanes[ego.target_lane].end_m - float(ego.position[0]))
 
@@ -164,12 +164,16 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
             scenario = scenario.denser(density)
         self.scenario = scenario
         self.guard = guard
+        self._rows: NDArray[np.float32] | None = None
+        self._seen: NDArray[np.float32] | None = None
         self._imperfect = (noise_m, noise_mps, dropout)
         self._ticks_per_decision = hz // decision_hz
         self._duration_s = scenario.duration_s if isinstance(duration_s, str) else duration_s
         self._seed: int | None = None
         self._pieces = scenario.pieces().tolist()
         self._gates = scenario.gates().tolist()
+        self._curved = any(len({p.y_m for p in plan.pieces}) > 1 for plan in scenario.lanes)
+        self._lanes = scenario.lanes_at(0.0)
         self._ends = [(plan.pieces[0].start_m, plan.pieces[-1].end_m) for plan in scenario.lanes]
         self.wish = Wish(ANY_LANE, scenario.ego.speed_ceiling_mps, 1.5)
         self._directed = False
@@ -204,13 +208,20 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
 
     def published_lanes(self) -> tuple[Lane, ...]:
         """The lanes as they lie beside the ego."""
-        if all(len(plan.pieces) == 1 or plan.kind == "main" for plan in self.scenario.lanes):
-            return self._lanes
-        return self.scenario.lanes_at(float(self.ego.position[0]))
+        return self.scenario.lanes_at(float(self.ego.position[0])) if self._curved else self._lanes
 
-    def perceived(self, table: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The rows as the ego's sensors report them."""
-        return perceived(table, self.perception, *self._imperfect) if any(self._imperfect) else table
+    def rows(self) -> NDArray[np.float32]:
+        """(V, 9) rows of the present tick, the ego first, then the nearest in sight; computed once per tick."""
+        if self._rows is None:
+            self._rows = rows(self)
+        return self._rows
+
+    def seen(self) -> NDArray[np.float32]:
+        """The same rows as the ego's sensors report them."""
+        if self._seen is None:
+            self._seen = perceived(self.rows(), self._perception, *self._imperfect) if any(self._imperfect) else (
+                self.rows())
+        return self._seen
 
     def define_spaces(self) -> None:
         self.observation_type = _Features(self)
@@ -239,18 +250,19 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
             if self._is_terminated():
                 break
         seconds = (k + 1) / self.hz
-        self._rewarded = self._earned(
+        earned = self._earned(
             int(action), (float(self.ego.position[0]) - distance) / seconds, effort / (k + 1), braked, seconds)
         self._follow()
         observation = self.observation_type.observe()
         if self.render_mode == "human":
             self.render()
-        return (observation, self._rewarded, self._is_terminated(), self._is_truncated(),
+        return (observation, earned, self._is_terminated(), self._is_truncated(),
                 self._info(observation, int(action)))
 
     def tick(self, meta: int) -> None:
         """One tick of the world under one meta-action, without observing it."""
         self.time += 1 / self.hz
+        self._rows = self._seen = None
         self._simulate(meta)
         end = self.scenario.road_end_m - kernel.LEFT_ROAD_M
         self.road.vehicles = [
@@ -283,9 +295,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
             raise ValueError(f"lane {lane} is not one of 0..{len(self.scenario.lanes) - 1}")
         speed = self.scenario.ego.speed_ceiling_mps if math.isnan(speed_mps) else speed_mps
         home = self.ego.target_lane
-        ahead = [v for v in self.road.vehicles if v is not self.ego and v.position[0] > self.ego.position[0]
-                 and math.cos(v.heading) > 0 and self.lane_at(*v.position) == home]
-        passed = min(ahead, key=lambda v: v.position[0]).number if overtake and ahead else -1
+        passed = lead_of(self.rows().tolist(), home) if overtake else -1
         self._directed = True
         self._told = (home if overtake else lane, passed, speed, headway_s)
         self._update_wish()
@@ -296,20 +306,20 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         self._update_wish()
 
     def _draw(self) -> None:
-        self._told = draw_wish(self._wishes, self.scenario, rows(self).tolist(), self.ego.target_lane)
+        self._told = draw_wish(self._wishes, self.scenario, self.rows().tolist(), self.ego.target_lane)
 
     def _update_wish(self) -> None:
         lane, passed, speed, headway = self._told
         if passed >= 0:
-            lane = wished_lane(rows(self).tolist(), lane, passed)
+            lane = wished_lane(self.rows().tolist(), lane, passed)
         self.wish = Wish(lane, speed, headway)
 
     def _reset(self) -> None:
         s = self.scenario
         seed = int(self.np_random.integers(2**31)) if self._seed is None else self._seed
         self._seed = None
-        traffic, self._wishes, self.perception = streams(seed)
-        self._lanes = s.lanes_at(0.0)
+        self._rows = self._seen = None
+        traffic, self._wishes, self._perception = streams(seed)
         self.road = Road(
             network=network(s), np_random=self.np_random, record_history=self.config["show_trajectories"],
             neighbour_vehicles_connected_lanes=s.connected_lanes)
@@ -343,7 +353,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
 
     def _earned(self, action: int, speed: float, accel_square: float, braked: bool, seconds: float) -> float:
         one = np.asarray
-        gap, closing = leader(rows(self)[None], np.array([self.ego.target_lane]))
+        gap, closing = leader(self.rows()[None], np.array([self.ego.target_lane]))
         ttc = float(gap[0] / closing[0]) if closing[0] > CLOSING_MIN_MPS else TTC_CAP_S
         short = shortfall(float(gap[0]), speed, self.wish.headway_s) if np.isfinite(gap[0]) else 0.0
         lane = self.wish.lane
@@ -351,9 +361,6 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
             one(speed), one(self.wish.speed_mps), 0.5 * self.scenario.ego.speed_ceiling_mps, one(accel_square),
             one(action != MetaAction.CRUISE), one(lane in (ANY_LANE, self.ego.target_lane)), one(ttc), one(short),
             one(braked), one(self.ego.crashed), seconds))
-
-    def _reward(self, action: int) -> float:
-        return self._rewarded
 
     def _info(self, obs: NDArray[np.float32], action: int | None = None) -> dict[str, Any]:
         return {

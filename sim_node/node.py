@@ -11,7 +11,7 @@ from schemas.messages import Action, Event, MetaAction, Observation
 from sim_node.config import SimConfig
 from sim_node.env import ScenarioEnv
 from sim_node.metrics import TTC_CAP_S, Recorder
-from sim_node.observe import observe, rows
+from sim_node.observe import observe
 
 HOLD_TICKS = 2
 """An action may be this many ticks old, and without one the set-points hold for this many ticks."""
@@ -77,7 +77,7 @@ class SimNode:
         self.epoch, self.tick, self.over = epoch, 0, ""
         self._applied_tick, self._unanswered = -1, 0
         self._recorder.restart(_YES)
-        self._rows = rows(self._env)
+        self._rows = self._env.rows()
 
     def step(self, action: Action | None, now_ns: int) -> Observation:
         """Advance one tick and observe."""
@@ -116,14 +116,13 @@ class SimNode:
                 ego.target_speed = max(0.0, float(ego.speed) - FAILSAFE_BRAKE_MPS2)
         self._env.tick(int(meta))
         self.tick += 1
-        self._rows = rows(self._env)
+        self._rows = self._env.rows()
         self._measure()
 
     def observation(self, now_ns: int) -> Observation:
         """What the ego sees at the current tick."""
-        table = self._env.perceived(self._rows)
         return observe(
-            self._env, table, epoch=self.epoch, tick=self.tick, applied_tick=self._applied_tick, now_ns=now_ns
+            self._env, epoch=self.epoch, tick=self.tick, applied_tick=self._applied_tick, now_ns=now_ns
         )
 
     def take_events(self) -> list[Event]:

@@ -50,7 +50,7 @@ def perceived(
 
 
 def observe(
-    env: ScenarioEnv, table: NDArray[np.float32], *, epoch: int, tick: int, applied_tick: int, now_ns: int
+    env: ScenarioEnv, *, epoch: int, tick: int, applied_tick: int, now_ns: int
 ) -> Observation:
     """What the ego sees now, as it is published."""
     ego = env.ego
@@ -60,7 +60,7 @@ def observe(
         tick=tick,
         scenario=env.scenario.name,
         lanes=env.published_lanes(),
-        rows=table.astype("<f4", copy=False).tobytes(),
+        rows=env.seen().astype("<f4", copy=False).tobytes(),
         acceleration_mps2=float(ego.acceleration),
         target_speed_mps=float(ego.target_speed),
         target_lane=ego.target_lane,

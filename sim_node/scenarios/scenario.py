@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from schemas.messages import Lane
-from schemas.wish import ANY_LANE
+from schemas.wish import ANY_LANE, lead_of
 
 Range = tuple[float, float]
 CAR_LENGTH_M = 5.0
@@ -190,12 +191,14 @@ class Scenario:
         """Where the longest lane ends."""
         return max(plan.pieces[-1].end_m for plan in self.lanes)
 
+    @cached_property
+    def _pieces(self) -> list[tuple[float, ...]]:
+        return [(float(lane), p.start_m, p.end_m, p.y_m, p.amplitude_m, p.pulsation, p.phase)
+                for lane, plan in enumerate(self.lanes) for p in plan.pieces]
+
     def pieces(self) -> NDArray[np.float64]:
         """(P, 7) lane, start, end, y, amplitude, pulsation, phase: the table that `centre_line` reads."""
-        return np.array([
-            (lane, p.start_m, p.end_m, p.y_m, p.amplitude_m, p.pulsation, p.phase)
-            for lane, plan in enumerate(self.lanes) for p in plan.pieces
-        ])
+        return np.array(self._pieces)
 
     def gates(self) -> NDArray[np.float64]:
         """(L, 4) start, end, change_from, is a ramp (0 or 1): where lane changes are possible at all."""
@@ -206,10 +209,10 @@ class Scenario:
 
     def lanes_at(self, x_m: float) -> tuple[Lane, ...]:
         """The lanes as they are published to an ego at `x_m`."""
-        table = self.pieces()
+        table = self._pieces
         return tuple(
             Lane(
-                y_m=round(float(centre_line(table, lane, x_m)[0]), 9), start_m=plan.pieces[0].start_m,
+                y_m=round(centre_line(table, lane, x_m)[0], 9), start_m=plan.pieces[0].start_m,
                 end_m=plan.pieces[-1].end_m, direction=plan.direction, width_m=plan.width_m,
                 speed_limit_mps=plan.speed_limit_mps, kind=plan.kind,
                 change_from_m=max(plan.change_from_m, -1e9))
@@ -268,9 +271,9 @@ def draw_wish(
     if scenario.wish_lanes:
         lane = ANY_LANE if rng.random() < 0.5 else int(rng.choice(scenario.wish_lanes))
         return lane, -1, speed, headway
-    ahead = [r for r in rows[1:] if r[0] > 0 and int(r[8]) == home and r[3] > -0.1 and r[1] > rows[0][1]]
-    if ahead and rng.random() < overtake_share:
-        return home, int(min(ahead, key=lambda r: float(r[1]))[0]), high, headway
+    lead = lead_of(rows, home)
+    if lead >= 0 and rng.random() < overtake_share:
+        return home, lead, high, headway
     return home, -1, speed, headway
 
 
