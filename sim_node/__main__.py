@@ -63,7 +63,8 @@ class RoundTrips:
         self.missed = 0
         self.closing = False
         """Set before the session closes, which ends the thread."""
-        threading.Thread(target=self._receive, name="actions", daemon=True).start()
+        # Not a daemon: one that comes back from zenoh while the interpreter is being torn down aborts the process.
+        threading.Thread(target=self._receive, name="actions").start()
 
     def published(self, observation: Observation, now_ns: int) -> None:
         """The observation is about to leave; close the account of the one before."""
