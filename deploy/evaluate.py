@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from fast_node.mask import OPEN, lane_table
+from fast_node.mask import lane_table
 from fast_node.policy import SHIPPED, load_policy
 from fast_node.rule import rule_logits
 from fast_node.training.rollout import DECISION_TICKS, Driver, Fleet, Task
@@ -49,23 +49,6 @@ def task_of(scenario: Scenario) -> Task:
         draw=lambda rng, rows, home: draw_wish(rng, scenario, rows, home))
 
 
-class Unmasked(Driver):
-    """Drives without the mask: every action is open at every tick."""
-
-    def tick(self) -> None:
-        look = self.fleet.look
-
-        def blind() -> None:
-            look()
-            self.fleet.rule[:, :POLICY_ACTIONS] = OPEN
-
-        self.fleet.look = blind  # type: ignore[method-assign]
-        try:
-            super().tick()
-        finally:
-            self.fleet.look = look  # type: ignore[method-assign]
-
-
 def constant(action: MetaAction) -> Logits:
     """A driver that repeats one action."""
     row = np.zeros(POLICY_ACTIONS, np.float32)
@@ -89,7 +72,9 @@ AGENTS: dict[str, str] = {
     "left": "always wants left", "right": "always wants right",
     "brake": "stops at once", "random": "draws an action every second",
 }
-"""What drives, by name; only `ours` and `rule` are behind the mask."""
+"""What drives, by name."""
+MASKED = ("ours", "rule")
+"""Those behind the mask."""
 _CONSTANT = {"cruise": MetaAction.CRUISE, "faster": MetaAction.SPEED_UP, "slower": MetaAction.SLOW_DOWN,
              "left": MetaAction.LEFT, "right": MetaAction.RIGHT}
 
@@ -108,7 +93,7 @@ def drive(
         raise ValueError(f"agent {agent!r} is not one of: {', '.join(AGENTS)}")
     n = len(seeds)
     world = Batched(scenario, n, 0, ego="idm" if agent == "idm" else "executor")
-    fleet = Fleet(world, task_of(scenario))
+    fleet = Fleet(world, task_of(scenario), masked=agent in MASKED)
     for i, seed in enumerate(seeds):
         traffic, wishes, _ = streams(seed)
         world.load(i, scenario.spawn(traffic))
@@ -125,7 +110,7 @@ def drive(
         logits = uniform(0)
     else:
         logits = constant(_CONSTANT.get(agent, MetaAction.CRUISE))
-    driver = (Driver if agent in ("ours", "rule") else Unmasked)(fleet, logits)
+    driver = Driver(fleet, logits)
     recorder = Recorder(scenario, n)
     active = np.ones(n, np.bool_)
     for tick in range(round(scenario.duration_s * 15)):

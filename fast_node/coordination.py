@@ -11,9 +11,7 @@ from typing import Any
 from fast_node.mask import REAR_GAP, RULES
 from schemas.clock import NS
 from schemas.messages import Closure, Directive, Event, MetaAction, Observation
-from schemas.wish import ANY_LANE, Wish, lead_of, wished_lane
-
-SPEED_TOLERANCE_MPS = 0.5
+from schemas.wish import ANY_LANE, SPEED_TOLERANCE_MPS, Wish, lead_of, wished_lane
 
 
 class Coordination:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,83 +19,112 @@ from schemas.features import LAYOUT_HASH
 from schemas.process import ConfigError
 
 Array = NDArray[np.float32]
+Wide = NDArray[np.float64]
+Present = NDArray[np.bool_]
 SHIPPED = Path(__file__).parent / "checkpoints" / "fastslow.safetensors"
 
 
-class _Layer(NamedTuple):
-    """An encoder layer, transposed and contiguous; the norm's scale and shift are folded into what follows it."""
-
-    q: Array
-    q_bias: Array
-    kv: Array
-    kv_bias: Array
-    out: Array
-    up: Array
-    up_bias: Array
-    down: Array
-    bias: Array
-    """Of `out` and `down` together."""
-
-
 class Policy:
-    """softmax(W_pi z^(L) + b_pi) over the five meta-actions (paper Eq. 12), as logits."""
+    """softmax(W_pi z^(L) + b_pi) over the five meta-actions (paper Eq. 12), as logits.
+
+    The last layer is computed for the ego alone, and folded: see `training.network.Encoder.ego`. What follows its
+    softmax and its ReLU is linear down to the logits, and so one small matrix.
+    """
 
     def __init__(self, weights: dict[str, Array], sidecar: dict[str, object]) -> None:
-        self.weights, self.sidecar = weights, sidecar
-        self.heads = int(str(sidecar["heads"]))
-        self._layers = [self._fold(f"layers.{k}.") for k in range(int(str(sidecar["layers"])))]
-        self._embed, self._policy = (np.ascontiguousarray(weights[f"{n}.weight"].T) for n in ("embed", "policy"))
-        self._mean = np.full((len(self._policy), 1), 1.0 / len(self._policy), np.float32)
+        self.sidecar = sidecar
+        self._heads = int(str(sidecar["heads"]))
+        layers = int(str(sidecar["layers"]))
+        w = {name: array.astype(np.float64) for name, array in weights.items()}
+        self._embed, self._embed_bias = _floats(w["embed.weight"].T, w["embed.bias"])
+        self._below = [_Layer(w, f"layers.{k}.", self._heads) for k in range(layers - 1)]
+        self._fold(w, f"layers.{layers - 1}.")
+
+    def _fold(self, w: dict[str, Wide], p: str) -> None:
+        d, h = w["embed.weight"].shape[0], self._heads
+        scale, shift = w[p + "norm.weight"], w[p + "norm.bias"]
+        query, key, value = w[p + "qkv.weight"].reshape(3, h, d // h, d)
+        q_bias, _, v_bias = w[p + "qkv.bias"].reshape(3, h, d // h)
+        q_bias = q_bias + query @ shift
+        root = np.sqrt(d // h)
+        asks = np.einsum("hkd,hke->dhe", query * scale, key * scale).reshape(d, h * d) / root
+        asks_bias = np.einsum("hk,hke->he", q_bias, key * scale).reshape(h * d) / root
+        up, up_bias = (w[p + "up.weight"] * scale).T, w[p + "up.bias"] + w[p + "up.weight"] @ shift
+        self._asks, self._asks_bias = _floats(np.hstack([asks, up]), np.hstack([asks_bias, up_bias]))
+        out = w[p + "out.weight"].reshape(d, h, d // h)
+        to_logits = w["policy.weight"].T
+        attended = np.einsum("hkd,ohk->hdo", value * scale, out).reshape(h * d, d)
+        bias = (w[p + "out.weight"] @ (v_bias + value @ shift).reshape(d) + w[p + "out.bias"] + w[p + "down.bias"])
+        self._last, self._last_bias = _floats(
+            np.vstack([attended, w[p + "down.weight"].T]) @ to_logits, bias @ to_logits + w["policy.bias"])
+        self._residual, = _floats(to_logits)
 
     def logits(self, x: Array) -> Array:
-        """(..., N, F) -> (..., 5) logits. Only the ego's row is read out, so the last layer computes only that row."""
-        here = x[..., 0] > 0  # rows of absent vehicles change nothing
-        return self._forward(x[here] if x.ndim == 2 else x[..., here.any(axis=tuple(range(x.ndim - 2))), :])[0]
+        """(..., N, F) -> (..., 5) logits."""
+        return self._forward(x)[0]
 
     def attention(self, x: Array) -> Array:
         """(N, F) -> (H, N): how much the ego attends to each row in the last layer, per head; sums to 1 over N."""
-        return self._forward(x)[1][..., 0, :]
-
-    def _fold(self, p: str) -> _Layer:
-        w = {k[len(p):]: v.astype(np.float64) for k, v in self.weights.items() if k.startswith(p)}
-        scale, shift = w["norm.weight"], w["norm.bias"]
-        d = len(scale)
-        qkv, bias = scale[:, None] * w["qkv.weight"].T, w["qkv.bias"] + shift @ w["qkv.weight"].T
-        root = np.sqrt(d // self.heads)
-        parts = (qkv[:, :d] / root, bias[:d] / root, qkv[:, d:], bias[d:], w["out.weight"].T,
-                 scale[:, None] * w["up.weight"].T, w["up.bias"] + shift @ w["up.weight"].T, w["down.weight"].T,
-                 w["out.bias"] + w["down.bias"])
-        return _Layer(*(np.ascontiguousarray(a, np.float32) for a in parts))
+        return self._forward(x)[1]
 
     def _forward(self, x: Array) -> tuple[Array, Array]:
-        z: Array = x @ self._embed + self.weights["embed.bias"]  # (..., N, D), Eq. 10
         present = x[..., 0] > 0
-        for layer in self._layers:
-            z, weights = self._encode(z, present, layer, layer is self._layers[-1])
-        out: Array = z[..., 0, :] @ self._policy + self.weights["policy.bias"]
+        z: Array = x @ self._embed + self._embed_bias  # (..., N, D), Eq. 10
+        for layer in self._below:
+            z = layer.encode(z, present)
+        u = normalised(z)
+        asks = u[..., 0, :] @ self._asks + self._asks_bias
+        width = self._heads * u.shape[-1]
+        keys = asks[..., :width].reshape(*asks.shape[:-1], self._heads, u.shape[-1])
+        weights = attention_weights(keys @ u.swapaxes(-1, -2), present[..., None, :])
+        attended = (weights @ u).reshape(*asks.shape[:-1], width)
+        hidden = np.concatenate([attended, np.maximum(asks[..., width:], 0)], -1)
+        out: Array = hidden @ self._last + z[..., 0, :] @ self._residual + self._last_bias
         return out, weights
 
-    def _encode(self, z: Array, present: NDArray[np.bool_], layer: _Layer, ego_only: bool) -> tuple[Array, Array]:
-        """Eq. 11 on a normalised input; the residual term is our departure, for stability. Also the weights."""
-        u = z - z @ self._mean
-        u /= np.sqrt((u * u) @ self._mean + np.float32(1e-5))
-        asks = u[..., :1, :] if ego_only else u
-        q = self._heads(asks @ layer.q + layer.q_bias)
-        k, v = (self._heads(a) for a in np.split(u @ layer.kv + layer.kv_bias, 2, axis=-1))
-        scores = q @ k.swapaxes(-1, -2)
-        if not present.all():
-            scores = np.where(present[..., None, None, :], scores, np.float32(-1e9))
-        weights = np.exp(scores - scores.max(-1, keepdims=True))
-        weights /= weights.sum(-1, keepdims=True)
-        merged = (weights @ v).swapaxes(-2, -3)
-        attended = merged.reshape(*merged.shape[:-2], u.shape[-1]) @ layer.out
-        hidden = np.maximum(asks @ layer.up + layer.up_bias, 0)
-        out: Array = z[..., : asks.shape[-2], :] + attended + hidden @ layer.down + layer.bias
-        return out, weights
 
-    def _heads(self, a: Array) -> Array:
-        """(..., N, D) -> (..., H, N, D/H)"""
-        return a.reshape(*a.shape[:-1], self.heads, a.shape[-1] // self.heads).swapaxes(-2, -3)
+class _Layer:
+    """An encoder layer below the last: Eq. 11 for every row, on a normalised input and with a residual term."""
+
+    def __init__(self, w: dict[str, Wide], p: str, heads: int) -> None:
+        self._heads = heads
+        scale, shift = w[p + "norm.weight"], w[p + "norm.bias"]
+        self._in, self._in_bias = _floats(
+            np.vstack([w[p + "qkv.weight"], w[p + "up.weight"]]).T * scale[:, None],
+            np.hstack([w[p + "qkv.bias"], w[p + "up.bias"]])
+            + np.vstack([w[p + "qkv.weight"], w[p + "up.weight"]]) @ shift)
+        self._out, self._out_bias = _floats(
+            np.hstack([w[p + "out.weight"], w[p + "down.weight"]]).T, w[p + "out.bias"] + w[p + "down.bias"])
+
+    def encode(self, z: Array, present: Present) -> Array:
+        """(..., N, D) -> (..., N, D)"""
+        d, h = z.shape[-1], self._heads
+        inner = normalised(z) @ self._in + self._in_bias
+        q, k, v = (inner[..., i * d : (i + 1) * d].reshape(*z.shape[:-1], h, d // h).swapaxes(-2, -3)
+                   for i in range(3))
+        weights = attention_weights(q @ k.swapaxes(-1, -2) / np.float32(np.sqrt(d // h)), present[..., None, None, :])
+        attended = (weights @ v).swapaxes(-2, -3).reshape(z.shape)
+        out: Array = z + np.concatenate([attended, np.maximum(inner[..., 3 * d :], 0)], -1) @ self._out + self._out_bias
+        return out
+
+
+def normalised(z: Array) -> Array:
+    """Mean 0 and variance 1 over the last axis; scale and shift of the norm are in the weights that follow."""
+    share = np.full((z.shape[-1], 1), 1.0 / z.shape[-1], np.float32)  # a product is quicker than a mean
+    u = z - z @ share
+    u /= np.sqrt((u * u) @ share + np.float32(1e-5))
+    return u
+
+
+def attention_weights(scores: NDArray[Any], present: Present) -> Array:
+    """Softmax over the last axis of what is present."""
+    e: Array = np.exp(scores - scores.max(-1, keepdims=True)) * present
+    e /= e.sum(-1, keepdims=True)
+    return e
+
+
+def _floats(*arrays: Wide) -> list[Array]:
+    return [np.ascontiguousarray(a, np.float32) for a in arrays]
 
 
 def load_policy(path: Path = SHIPPED) -> Policy:

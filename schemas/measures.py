@@ -10,6 +10,8 @@ import math
 
 CAR_LENGTH_M = 5.0
 INF = math.inf
+TTC_CAP_S = 100.0
+"""Where a smallest time to collision is asked for and nothing is approached."""
 
 
 def gap_m(rear_x: float, front_x: float, rear_length: float, front_length: float) -> float:

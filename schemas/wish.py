@@ -9,6 +9,8 @@ ANY_LANE = -1
 PASS_SIGHT_M = 60.0
 """A lead farther ahead than this many metres (or `PASS_SIGHT_S` of driving) is not overtaken yet."""
 PASS_SIGHT_S = 5.0
+SPEED_TOLERANCE_MPS = 0.5
+"""A wished speed is met within this."""
 BEHIND_M = 4.0
 """Room between the passed car and the ego when it returns."""
 

@@ -18,13 +18,14 @@ from highway_env.vehicle.objects import Obstacle
 from numpy.typing import NDArray
 
 from schemas.features import BOUND, FEATURES, N_ROWS, features
+from schemas.measures import TTC_CAP_S
 from schemas.messages import POLICY_ACTIONS, Lane, MetaAction
 from schemas.reward import reward, shortfall
 from schemas.wish import ANY_LANE, Wish, lead_of, wished_lane
 from sim_node import executor
 from sim_node.engine import bridge, kernel
 from sim_node.engine.accelerated import Accelerated
-from sim_node.metrics import CLOSING_MIN_MPS, TTC_CAP_S, leader
+from sim_node.metrics import CLOSING_MIN_MPS, leader
 from sim_node.observe import perceived, rows
 from sim_node.scenarios import SCENARIOS, Scenario
 from sim_node.scenarios.scenario import Piece, centre_line, draw_wish, streams

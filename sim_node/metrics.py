@@ -28,13 +28,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.wish import ANY_LANE
+from schemas.measures import TTC_CAP_S
+from schemas.wish import ANY_LANE, SPEED_TOLERANCE_MPS
 from sim_node.scenarios.scenario import Scenario
 
-TTC_CAP_S = 100.0
 CLOSING_MIN_MPS = 0.1
 HEADWAY_SIGHT_M = 100.0
-SPEED_TOLERANCE_MPS = 0.5
 SIDEWAYS_MPS = 0.3
 PASSED_M = 5.0
 """The first lead is passed once the centres are this far apart: the bumpers no longer overlap."""

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from schemas.measures import TTC_CAP_S
 from schemas.messages import Action, Event, MetaAction, Observation
 from sim_node.config import SimConfig
 from sim_node.env import ScenarioEnv
-from sim_node.metrics import TTC_CAP_S, Recorder
+from sim_node.metrics import Recorder
 from sim_node.observe import observe
 
 HOLD_TICKS = 2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor, nn
 
@@ -21,19 +23,31 @@ class Encoder(nn.Module):
         self.up = nn.Linear(width, 2 * width)
         self.down = nn.Linear(2 * width, width)
 
-    def forward(self, z: Tensor, present: Tensor, ego_only: bool = False) -> Tensor:
-        """(B, N, D) -> (B, N, D), or (B, 1, D) where only the ego asks: exact, for nothing else is read out."""
+    def forward(self, z: Tensor, present: Tensor) -> Tensor:
+        """(B, N, D) -> (B, N, D); present (B, N): which rows may be attended to."""
         b, n, d = z.shape
         u = self.norm(z)
-        asks = u[:, :1] if ego_only else u
-        m = asks.shape[1]
-        weight, bias = self.qkv.weight, self.qkv.bias
-        q = nn.functional.linear(asks, weight[:d], bias[:d]).view(b, m, self.heads, d // self.heads).transpose(1, 2)
-        k, v = (a.view(b, n, self.heads, d // self.heads).transpose(1, 2)
-                for a in nn.functional.linear(u, weight[d:], bias[d:]).chunk(2, -1))
+        q, k, v = (a.view(b, n, self.heads, d // self.heads).transpose(1, 2) for a in self.qkv(u).chunk(3, -1))
         attended = nn.functional.scaled_dot_product_attention(q, k, v, attn_mask=present[:, None, None, :])
-        return torch.as_tensor(
-            z[:, :m] + self.out(attended.transpose(1, 2).reshape(b, m, d)) + self.down(torch.relu(self.up(asks))))
+        return torch.as_tensor(z + self.out(attended.transpose(1, 2).reshape(b, n, d)) + self._ffn(u))
+
+    def ego(self, z: Tensor, present: Tensor) -> Tensor:
+        """(B, N, D) -> (B, D): row 0 of `forward`, exactly, at a fraction of its cost.
+
+        With one query, q . (K u_n) = (K^T q) . u_n, and sum_n w_n (V u_n) = V (sum_n w_n u_n): neither keys nor values
+        of the other rows are needed. The keys' bias adds the same to every score, which softmax does not see.
+        """
+        d, h = z.shape[-1], self.heads
+        u = self.norm(z)
+        (query, key, value), (q_bias, _, v_bias) = self.qkv.weight.view(3, h, d // h, d), self.qkv.bias.view(3, h, -1)
+        q = torch.einsum("bd,hkd->bhk", u[:, 0], query) + q_bias
+        scores = torch.einsum("bhk,hkd->bhd", q, key) @ u.transpose(1, 2) / math.sqrt(d // h)
+        weights = scores.masked_fill(~present[:, None], -1e9).softmax(-1)
+        attended = torch.einsum("bhd,hkd->bhk", weights @ u, value) + v_bias
+        return torch.as_tensor(z[:, 0] + self.out(attended.flatten(1)) + self._ffn(u[:, 0]))
+
+    def _ffn(self, u: Tensor) -> Tensor:
+        return torch.as_tensor(self.down(torch.relu(self.up(u))))
 
 
 class ActorCritic(nn.Module):
@@ -50,6 +64,9 @@ class ActorCritic(nn.Module):
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         z, present = self.embed(x), x[..., 0] > 0
-        for i, layer in enumerate(self.layers):
-            z = layer(z, present, ego_only=i == len(self.layers) - 1)
-        return self.policy(z[:, 0]), self.value(z[:, 0]).squeeze(-1)
+        for layer in self.layers[:-1]:
+            z = layer(z, present)
+        last = self.layers[-1]
+        assert isinstance(last, Encoder)
+        ego = last.ego(z, present)
+        return self.policy(ego), self.value(ego).squeeze(-1)

@@ -19,12 +19,12 @@ from fast_node import choice, mask
 from fast_node.choice import HELD, MASKED
 from schemas import features, measures, wish
 from schemas.features import FEATURES, N_ROWS, Array
+from schemas.measures import TTC_CAP_S
 from schemas.messages import POLICY_ACTIONS, MetaAction
 from schemas.reward import reward, shortfall
 from schemas.wish import ANY_LANE
 
 DECISION_TICKS = 15
-TTC_CAP_S = 100.0
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -54,19 +54,23 @@ def _compiled_mask() -> Any:
 
 _close = _compiled_mask()
 _wished_lane = numba.njit(wish.wished_lane)
-_choose = numba.njit(_copy_of(choice).choose)
-_invite = numba.njit(_copy_of(choice).invite)
+_choose = numba.njit(choice.choose)
+_invite = numba.njit(choice.invite)
+_ttc = numba.njit(measures.ttc_s)
 
 
 @numba.njit  # type: ignore[untyped-decorator]
 def _look_all(
     rows: Any, lanes: Any, target_speed: Any, target_lane: Any, previous: Any, sight: float, told_lane: Any,
-    pass_id: Any, headway: Any, near: Any, rule: Any, vehicle: Any, wish_lane: Any, ttc: Any, short: Any,
+    pass_id: Any, headway: Any, masked: bool, near: Any, rule: Any, vehicle: Any, wish_lane: Any, ttc: Any, short: Any,
 ) -> None:
     for s in range(rows.shape[0]):
         _close(rows[s], lanes[s], target_speed[s], target_lane[s], previous[s], sight, near[s], rule[s], vehicle[s])
+        if not masked:
+            rule[s] = mask.OPEN
         wish_lane[s] = told_lane[s] if pass_id[s] < 0 else _wished_lane(rows[s], told_lane[s], pass_id[s])
-        _invite(rule[s], lanes[s], target_lane[s], wish_lane[s])
+        if masked:
+            _invite(rule[s], lanes[s], target_lane[s], wish_lane[s])
         ttc[s] = TTC_CAP_S
         short[s] = 0.0
         ego = rows[s, 0]
@@ -78,9 +82,8 @@ def _look_all(
                 i = near[s, 3 * lane + k]
                 if i >= 0:
                     gap = rows[s, i, 1] - ego[1] - 0.5 * (rows[s, i, 6] + ego[6])
-                    closing = ego[3] - rows[s, i, 3]
-                    if gap > 0.0 and closing > 0.1:
-                        ttc[s] = min(ttc[s], gap / closing)
+                    if gap > 0.0:
+                        ttc[s] = min(ttc[s], _ttc(gap, ego[3] - rows[s, i, 3]))
 
 
 _features = numba.njit(features.policy_input)
@@ -140,10 +143,10 @@ class Task:
 
 
 class Fleet:
-    """S scenes of one task: what each ego sees, is asked for and may do now."""
+    """S scenes of one task: what each ego sees, is asked for and may do now. Not `masked`: anything, always."""
 
-    def __init__(self, world: World, task: Task) -> None:
-        self.world, self.task = world, task
+    def __init__(self, world: World, task: Task, *, masked: bool = True) -> None:
+        self.world, self.task, self.masked = world, task, masked
         s, n = len(world.rows), len(task.lanes)
         self.lanes = np.repeat(task.lanes[None], s, axis=0)
         self.rule, self.vehicle = np.zeros((s, 6), np.int64), np.zeros((s, 6), np.int64)
@@ -161,8 +164,8 @@ class Fleet:
         self.lanes[:, :, 0] = w.lane_y
         self._rows[:] = w.rows
         _look_all(self._rows, self.lanes, w.target_speed, w.target_lane, w.previous_lane, self.task.sight_m,
-                  self.told_lane, self.pass_id, self.headway, self._near, self.rule, self.vehicle, self.wish,
-                  self.ttc_s, self.short)
+                  self.told_lane, self.pass_id, self.headway, self.masked, self._near, self.rule, self.vehicle,
+                  self.wish, self.ttc_s, self.short)
 
     def observe(self) -> Array:
         """Policy input (S, N, F) of what `look` saw last."""
