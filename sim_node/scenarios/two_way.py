@@ -54,4 +54,16 @@ NATURAL = replace(
     sight_m=600.0,
 )
 
-SCENARIOS = (TWO_WAY, NATURAL)
+CASE = replace(
+    TWO_WAY,
+    name="two-way-case",
+    description="the paper's case study: a clear oncoming lane, a lead that a hurried ego has passed after 20 s",
+    ego=EgoPlan(lanes=(1,), x_m=(400.0, 400.0), speed_mps=(4.8, 5.0), speed_ceiling_mps=8.0),
+    flows=(
+        flow(1, "ahead", (1, 1), (35.5, 36.5), (0.0, 0.0), (4.97, 5.03)),
+        flow(1, "behind", (1, 1), (25.0, 35.0), (0.0, 0.0), (4.5, 5.0), not_faster_than_ego=True),
+    ),
+    sight_m=400.0,
+)
+
+SCENARIOS = (TWO_WAY, NATURAL, CASE)
