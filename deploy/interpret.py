@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import random
 import signal
 import subprocess
 import sys
@@ -281,16 +282,15 @@ def measure(gold: list[dict[str, Any]], **options: Any) -> dict[str, Any]:
 
 
 def development_set(per_kind: int | None = None) -> list[dict[str, Any]]:
-    """The labelled commands, or the first few of every kind."""
+    """The labelled commands, or so many of every kind, drawn with a fixed seed: the same ones every time."""
     from slow_node.evaluation.score import DEV_SET, read_lines
 
-    kept: list[dict[str, Any]] = []
-    seen: dict[str, int] = {}
-    for row in read_lines(DEV_SET):
-        seen[row["kind"]] = seen.get(row["kind"], 0) + 1
-        if per_kind is None or seen[row["kind"]] <= per_kind:
-            kept.append(row)
-    return kept
+    rows = read_lines(DEV_SET)
+    if per_kind is None:
+        return rows
+    draw = random.Random(0)
+    kinds = {kind: [row for row in rows if row["kind"] == kind] for kind in dict.fromkeys(row["kind"] for row in rows)}
+    return [row for of_kind in kinds.values() for row in draw.sample(of_kind, min(per_kind, len(of_kind)))]
 
 
 def score_development_set(*, as_json: bool, per_kind: int | None, output: str, **options: Any) -> int:
@@ -314,27 +314,33 @@ def score_development_set(*, as_json: bool, per_kind: int | None, output: str, *
     return OK
 
 
+MEMORIES = (("k = 0", 0, False), ("k = 2", 2, False), ("k = 4", 4, False), ("k = 4, empty bank", 4, True))
+
+
 def memory_experiment(*, as_json: bool, per_kind: int | None, threads: int) -> int:
-    """The language model alone with k = 0, 2, 4 recalled examples, and with an empty bank. Exit code."""
+    """The language model alone, behind the rules, with 0, 2, 4 recalled examples and an empty bank. Exit code."""
     gold = development_set(per_kind)
     found = []
-    for name, k, empty in (("k = 0", 0, False), ("k = 2", 2, False), ("k = 4", 4, False), ("k = 4, empty bank",
-        4, True)):
+    for name, k, empty in MEMORIES:
         print(name, file=sys.stderr)
         try:
-            result = measure(gold, ask="always", reader=False, k=k, empty_bank=empty, threads=threads,
-                             budget_s=60.0)
+            result = measure(gold, ask="always", reader=False, k=k, empty_bank=empty, threads=threads, budget_s=60.0)
         except ConfigError as error:
             print(f"fastslow: {error}", file=sys.stderr)
             return CONFIG
         found.append({"memory": name, **{key: result[key] for key in (
-            "n", "exact", "exact_ci95", "outcome_right", "slot_f1", "slot_f1_ci95", "unsafe_recall", "latency_s")}})
+            "n", "exact", "exact_ci95", "outcome_right", "outcome_right_ci95", "slot_f1", "slot_f1_ci95",
+            "unsafe_recall", "errors", "answered_by", "latency_s")}})
     if as_json:
         print(json.dumps({"schema": "fastslow.memory-experiment/1", "rows": found}))
         return OK
-    print(f"{'memory':<20}{'exact':>7}  {'95 %':<15}{'slot F1':>8}  p50 s")
+    print(f"{'memory':<20}{'n':>4}{'exact':>7}  {'95 %':<15}{'slot F1':>8}  {'95 %':<15}{'p50 s':>6}")
     for row in found:
-        low, high = row["exact_ci95"]
-        print(f"{row['memory']:<20}{row['exact']:>7.3f}  {low:.3f}..{high:.3f}   {row['slot_f1'] or 0.0:>8.3f}"
-              f"  {row['latency_s']['p50']:.2f}")
+        f1 = "-" if row["slot_f1"] is None else f"{row['slot_f1']:.3f}"
+        print(f"{row['memory']:<20}{row['n']:>4}{row['exact']:>7.3f}  {_range(row['exact_ci95']):<15}{f1:>8}"
+              f"  {_range(row['slot_f1_ci95']):<15}{row['latency_s']['p50']:>6.2f}")
     return OK
+
+
+def _range(interval: list[float] | None) -> str:
+    return "" if interval is None else "{:.3f}..{:.3f}".format(*interval)

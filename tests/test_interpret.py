@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -12,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from deploy.cli import app
-from deploy.interpret import DEFAULT_SCENE, LineError, scene_of
+from deploy.interpret import DEFAULT_SCENE, LineError, development_set, scene_of
 from slow_node.directive import Plan, Refusal, plan_of
 from slow_node.embedding import load_embedder
 from slow_node.numbers import SPELLING_LANGUAGES, quantities, spelled
@@ -139,16 +140,24 @@ def test_training_commands_are_reproducible_and_labelled() -> None:
     assert all(sample.label[head] in classes for sample in first for head, classes in HEADS.items())
 
 
+def test_a_part_of_the_development_set_is_the_same_at_every_call_and_has_every_kind() -> None:
+    part = development_set(3)
+    assert part == development_set(3)
+    assert set(Counter(row["kind"] for row in part).values()) == {3}
+    assert len({row["kind"] for row in part}) == len({row["kind"] for row in development_set()})
+
+
 def test_memory_is_listed_exported_imported_and_forgotten(tmp_path: Path) -> None:
     bank, line = str(tmp_path / "bank.sqlite"), tmp_path / "learnt.jsonl"
     row = {"command": "take the scenic pace", "scene": "two-way", "slots": {"outcome": "directive", "speed": "slower"},
-           "outcome": "fulfilled", "took_s": 2.0}
+           "outcome": "fulfilled", "took_s": 2.0, "min_ttc_s": 1.2}
     line.write_text(json.dumps(row) + "\n")
     assert run.invoke(app, ["memory", "import", str(line), "--bank", bank]).exit_code == 0
     listed = json.loads(run.invoke(app, ["memory", "list", "--json", "--bank", bank]).stdout)
     assert [entry["command"] for entry in listed] == ["take the scenic pace"]
     assert "scenic" in run.invoke(app, ["memory", "show", "a scenic pace", "--bank", bank]).stdout
-    assert json.loads(run.invoke(app, ["memory", "export", "--bank", bank]).stdout)["took_s"] == 2.0
+    exported = json.loads(run.invoke(app, ["memory", "export", "--bank", bank]).stdout)
+    assert (exported["took_s"], exported["min_ttc_s"]) == (2.0, 1.2)
     assert run.invoke(app, ["memory", "forget", str(listed[0]["id"]), "--bank", bank]).exit_code == 0
     assert run.invoke(app, ["memory", "forget", str(listed[0]["id"]), "--bank", bank]).exit_code == 1
     line.write_text('{"command": 3}\n')

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import os
 import socket
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -13,26 +15,30 @@ import time
 import urllib.request
 from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the node's own __main__ does, before NumPy loads
 
 import numpy as np
 import pytest
+from safetensors.numpy import save
 
 from schemas import topics
 from schemas.bus import LocalBus, Subscription
 from schemas.messages import Directive, Event, Lane, Observation, Reply
 from slow_node.config import SlowConfig
 from slow_node.directive import ParseError, Plan, parse_answer, plan_of
-from slow_node.embedding import HashedEmbedder, load_embedder
+from slow_node.embedding import HashedEmbedder, Rows, Vector, load_embedder
 from slow_node.memory import Memory
 from slow_node.model import Breaker, ChatModel, ModelError
 from slow_node.node import build
 from slow_node.numbers import quantities
 from slow_node.prompt import build_prompt
 from slow_node.reader import on_the_side_said
+from slow_node.replies import sentence
 from slow_node.rules import unsafe
 from slow_node.scene import encode_scene
+from slow_node.seeds import embed_command, read_seeds, ship_vectors, shipped_vectors
 from slow_node.slots import Slots
 
 FASTER = '{"reasoning":"in a hurry","outcome":"directive","speed":"faster","overtake":true}'
@@ -43,8 +49,8 @@ SLOWER = '{"reasoning":"less","outcome":"directive","speed":"slower"}'
 def observation(tick: int = 0, epoch: int = 1, lane: int = 1, x: float = 0.0, lead_x: float = 25.0) -> Observation:
     """The two-way road: the ego in its own lane 1, a lead at 3.5 m/s."""
     lanes = (
-        Lane(y_m=-4, start_m=-100, end_m=1000, direction=-1, kind="oncoming", speed_limit_mps=10),
-        Lane(y_m=0, start_m=-100, end_m=1000, speed_limit_mps=10),
+        Lane(y_m=-4, start_m=-100, end_m=1000, direction=-1, kind="oncoming", speed_limit_mps=8),
+        Lane(y_m=0, start_m=-100, end_m=1000, speed_limit_mps=8),
     )
     rows = [(0, x, 4 * lane - 4, 5, 0, 0, 5, 2, lane), (1, lead_x, 0, 3.5, 0, 0, 5, 2, 1)]
     return Observation(epoch=epoch, stamp_ns=time.monotonic_ns(), tick=tick, scenario="two-way", lanes=lanes,
@@ -256,14 +262,27 @@ def test_a_paraphrase_finds_its_example(bank: str) -> None:
     assert np.isclose(np.linalg.norm(HashedEmbedder().embed("anything")), 1.0)
 
 
-def test_gates() -> None:
+def test_the_road_and_the_schema_are_gates() -> None:
     scene = encode_scene(observation())
-    faster = plan_of(Slots(outcome="directive", target_speed_mps=14.0), scene)
+    faster = plan_of(Slots(outcome="directive", target_speed_mps=11.0), scene)
     assert isinstance(faster, Plan)
-    assert faster.target_speed_mps == 10.0
+    assert faster.target_speed_mps == 8.0
     assert not isinstance(plan_of(Slots(outcome="directive", lane="right"), scene), Plan)
     with pytest.raises(ParseError, match="speed"):
         parse_answer('{"outcome":"directive","speed":"ludicrous"}')
+
+
+def test_a_wish_to_overtake_says_so_where_nobody_slow_is_ahead() -> None:
+    far = plan_of(Slots(outcome="directive", overtake=True), encode_scene(observation(lead_x=120.0)))
+    near = plan_of(Slots(outcome="directive", overtake=True), encode_scene(observation(lead_x=25.0)))
+    assert (far.say, near.say) == (sentence("nobody_ahead", "en"), sentence("overtake", "en"))
+
+
+def test_rows_read_from_a_file_are_the_rows_of_its_matrix(tmp_path: Path) -> None:
+    table = np.arange(12, dtype=np.float16).reshape(4, 3)
+    path = tmp_path / "table.safetensors"
+    path.write_bytes(save({"first": np.zeros(5, np.float32), "table": table}))
+    assert (Rows(path, "table")[np.array([3, 0, 3])] == table[[3, 0, 3]]).all()
 
 
 CHAT = [{"role": "user", "content": "Command: \"go faster\""}]
@@ -450,6 +469,90 @@ def test_memory_keeps_outcomes_merges_likes_warns_and_stays_bounded(monkeypatch:
     assert memory.forget(newest.id)
     assert not memory.forget(newest.id)
     memory.close()
+
+
+def test_a_near_miss_is_recalled_as_a_warning_even_where_the_wish_came_true() -> None:
+    memory = Memory(HashedEmbedder())
+    faster = Slots(outcome="directive", speed="faster")
+    memory.learn("press on, driver", "two-way", faster, "fulfilled", 4.0, 1.2)
+    assert memory.nearest("press on, driver", 1)[0].warning == "last time: near miss, 1.2 s from a collision"
+    memory.learn("press on, driver", "two-way", faster, "fulfilled", 4.0, 8.0)
+    assert memory.nearest("press on, driver", 1)[0].warning == ""
+    memory.close()
+
+
+@pytest.mark.parametrize("model", [obeys], indirect=True)
+def test_the_smallest_time_to_collision_until_the_outcome_is_remembered(model: ScriptedModel, tmp_path: Path) -> None:
+    """At 1.5 m/s of closing speed, bumpers 5 m and then 20 m apart."""
+    ids: list[int] = []
+    readers: list[Subscription[Directive]] = []
+
+    def note(bus: LocalBus) -> None:
+        readers.append(bus.subscribe(topics.DIRECTIVE))
+
+    def read(_: LocalBus) -> None:
+        ids.extend(directive.id for directive in readers[0].take())
+
+    def fulfil(bus: LocalBus) -> None:
+        bus.publish(topics.EVENT, Event(epoch=1, stamp_ns=time.monotonic_ns(), kind="fulfilled", node="fast", tick=3,
+                                        directive_id=ids[-1]))
+
+    path = str(tmp_path / "bank.sqlite")
+    play(model.url, path, note, look(), say("hurry up, chauffeur"), look(1, x=15), look(2), read, fulfil, wait_s=0.8)
+    memory = Memory(load_embedder(), path)
+    learnt = memory.examples()[-1]
+    memory.close()
+    assert (learnt.command, learnt.outcome) == ("hurry up, chauffeur", "fulfilled")
+    assert learnt.min_ttc_s == pytest.approx(5.0 / 1.5, rel=1e-3)
+
+
+def test_a_bank_of_the_first_release_is_migrated_and_keeps_its_examples(tmp_path: Path) -> None:
+    path = tmp_path / "bank.sqlite"
+    embedder = HashedEmbedder()
+    old = sqlite3.connect(path)
+    old.execute("CREATE TABLE experience (space TEXT, command TEXT, scene TEXT, slots TEXT, outcome TEXT, took_s REAL,"
+                " vector BLOB, PRIMARY KEY (space, command))")
+    old.execute("INSERT INTO experience VALUES (?, ?, ?, ?, ?, ?, ?)",
+                (embedder.name, "scenic pace", "", SLOWER, "expired", 3.0, embedder.embed("scenic pace").tobytes()))
+    old.commit()
+    old.close()
+    for _ in range(2):
+        memory = Memory(embedder, str(path), None)
+        kept = memory.nearest("scenic pace", 1)[0]
+        memory.close()
+        assert (kept.outcome, kept.took_s, kept.min_ttc_s) == ("expired", 3.0, math.inf)
+
+
+def test_the_shipped_vectors_belong_to_the_shipped_examples() -> None:
+    embedder = load_embedder()
+    if isinstance(embedder, HashedEmbedder):
+        pytest.skip("MiniLM is not installed")
+    seeds = read_seeds()
+    vectors = shipped_vectors(embedder, seeds)
+    assert vectors is not None, "run `python -m slow_node.seeds`"
+    assert len(vectors) == len(seeds)
+    anew = [embed_command(embedder, seed.command) for seed in seeds[::25]]
+    assert np.abs(vectors[::25] @ np.transpose(anew) - anew @ np.transpose(anew)).max() < 1e-3
+
+
+@pytest.mark.parametrize("stale", ["examples", "embedder", "file"])
+def test_stale_vectors_are_noticed_and_not_used(stale: str, tmp_path: Path) -> None:
+    class Bins(HashedEmbedder):
+        name = "bins"
+
+    class Reversed(Bins):
+        def embed(self, text: str) -> Vector:
+            return super().embed(text[::-1])
+
+    path = tmp_path / "examples.jsonl"
+    path.write_text('{"command": "Faster", "scene": "", "slots": {"outcome": "directive", "speed": "faster"}}\n')
+    ship_vectors(Bins(), path)
+    assert shipped_vectors(Bins(), read_seeds(path), path) is not None
+    if stale == "examples":
+        path.write_text(path.read_text().replace("Faster", "Slower"))
+    if stale == "file":
+        path.with_suffix(".safetensors").write_bytes(b"damaged")
+    assert shipped_vectors(Reversed() if stale == "embedder" else Bins(), read_seeds(path), path) is None
 
 
 def test_the_embedded_model_understands_a_hurry(bank: str) -> None:
