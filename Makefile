@@ -4,7 +4,7 @@ BIN := .venv/bin
 TEXT ?= I'm in a hurry to get to work, I want to drive faster
 export TEXT
 
-.PHONY: setup run say test parity difficulty check clean
+.PHONY: setup run say test parity difficulty study check clean
 .DEFAULT_GOAL := run
 
 setup: .venv/.ready
@@ -33,6 +33,11 @@ parity: setup
 # Who survives and who succeeds on which road.
 difficulty: setup
 	$(BIN)/fastslow evaluate --all --episodes 300 $(ARGS)
+
+# The paper's comparison: five seeds of every learner on every road. Run it again to go on.
+study: setup
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[baselines]'
+	$(BIN)/fastslow study $(ARGS)
 
 check: setup
 	$(BIN)/ruff check .

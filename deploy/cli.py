@@ -143,25 +143,70 @@ def train(
     steps: Annotated[int, typer.Option(min=1024, help="Decisions to learn from (the paper's budget by default).")] = (
         100_000),
     seed: Annotated[int, typer.Option(min=0, help="Of the network, the traffic and the directives.")] = 0,
+    resume: Annotated[bool, typer.Option(
+        "--resume", help="Go on where an interrupted run to --out was last saved, in new traffic.")] = False,
 ) -> None:
     """Learn one policy for the given roads (some minutes on one core)."""
+    from schemas.process import CONFIG, ConfigError
+
     try:
         from deploy.training import train_policy
 
-        figures = train_policy(out, scenario or ["highway", "merge", "two-way"], steps, seed)
+        figures = train_policy(out, scenario or ["highway", "merge", "two-way"], steps, seed, resume=resume)
     except ImportError as error:
         typer.echo(f"fastslow: {error.name} is missing: pip install 'fastslow[train]'", err=True)
-        raise typer.Exit(78) from None
+        raise typer.Exit(CONFIG) from None
+    except ConfigError as error:
+        typer.echo(f"fastslow: {error}", err=True)
+        raise typer.Exit(CONFIG) from None
     except ValueError as error:
         raise typer.BadParameter(str(error), param_hint="'--scenario'") from None
     typer.echo(f"{out}: return {figures['episodic_return']:.2f}, crashes {figures['crash_rate']:.1%}", err=True)
+
+
+@app.command(epilog="Examples:\n\n  fastslow study\n\n  fastslow study --quick --json\n\n" + _EXITS)
+def study(
+    out: Annotated[Path, typer.Option(
+        help="Where cells, study.json and study.png go; finished cells are kept.")] = Path("runs/study"),
+    algorithm: Annotated[list[str] | None, typer.Option(
+        help="ours, ppo, dqn or a2c; may be repeated.", show_default="all")] = None,
+    scenario: Annotated[list[str] | None, typer.Option(
+        help="Roads; may be repeated.", show_default="highway, merge, two-way")] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="How many, from 0.")] = 5,
+    steps: Annotated[int, typer.Option(min=256, help="Decisions per run.")] = 100_000,
+    jobs: Annotated[int, typer.Option(min=1, help="Runs side by side.")] = 2,
+    quick: Annotated[bool, typer.Option(
+        "--quick", help="Our learner only, 10,000 decisions; exit code 1 if it learns too little.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Compare our learner with PPO, DQN and A2C over several seeds; run again to go on."""
+    from schemas.process import CONFIG, ConfigError, Stopped, stop_on_signals
+
+    try:
+        from deploy.study import ALGORITHMS, ROADS, run_study
+
+        with stop_on_signals():
+            code = run_study(out, algorithms=algorithm or ALGORITHMS, scenarios=scenario or ROADS, seeds=range(seeds),
+                             steps=steps, jobs=jobs, quick=quick, as_json=as_json)
+    except Stopped as stopped:
+        raise typer.Exit(stopped.code) from None
+    except ImportError as error:
+        typer.echo(f"fastslow: {error.name} is missing: pip install 'fastslow[train,baselines]'", err=True)
+        raise typer.Exit(CONFIG) from None
+    except ConfigError as error:
+        typer.echo(f"fastslow: {error}", err=True)
+        raise typer.Exit(CONFIG) from None
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    raise typer.Exit(code)
 
 
 @app.command(epilog="Examples:\n\n  fastslow evaluate\n\n  fastslow evaluate --all --episodes 300 --json\n\n"
                     "  fastslow evaluate --agent rule --agent idm --scenario merge\n\n" + _EXITS)
 def evaluate(
     agent: Annotated[list[str] | None, typer.Option(
-        help="Who drives; may be repeated: see the table it prints.", show_default="ours")] = None,
+        help="Who drives; may be repeated: see the table it prints. dilu-paused and dilu-running ask a language model "
+             "every second: minutes per episode.", show_default="ours")] = None,
     scenario: Annotated[list[str] | None, typer.Option(
         help="Where; may be repeated.", show_default="highway, merge, two-way")] = None,
     everything: Annotated[bool, typer.Option("--all", help="Every agent on every scenario.")] = False,
@@ -204,7 +249,8 @@ def interpret(
     scene: Annotated[Path | None, typer.Option(help="The scene of lines without one.", show_default="4 lanes")] = None,
     score: Annotated[bool, typer.Option("--score", help="Interpret and score the development set instead.")] = False,
     experiment: Annotated[str | None, typer.Option(help="memory: the model with 0, 2, 4 recalled examples.")] = None,
-    per_kind: Annotated[int | None, typer.Option(min=1, help="Only the first so many of each kind of the set.")] = None,
+    per_kind: Annotated[int | None, typer.Option(
+        min=1, help="Only so many of each kind of the set, the same ones every time.")] = None,
     ask: Annotated[str, typer.Option(help="Ask the language model: auto, always, unsure or never.")] = "auto",
     reader: Annotated[bool, typer.Option(help="Use the trained reader.")] = True,
     k: Annotated[int, typer.Option(min=0, max=8, help="Examples recalled for the model.")] = 4,

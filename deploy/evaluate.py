@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from fast_node.coordination import ASSERTIVE_HEADWAY_S
 from fast_node.mask import lane_table
 from fast_node.policy import SHIPPED, load_policy
 from fast_node.rule import rule_logits
@@ -75,8 +76,24 @@ AGENTS: dict[str, str] = {
 """What drives, by name."""
 MASKED = ("ours", "rule")
 """Those behind the mask."""
+LANGUAGE: dict[str, str] = {
+    "dilu-paused": "a language model alone, one decision a second (DiLu's method); the world waits while it thinks",
+    "dilu-running": "the same, and the world goes on while it thinks",
+}
+"""Drivers that take up to a second or more of real time per decision: by name only, never with all the others."""
 _CONSTANT = {"cruise": MetaAction.CRUISE, "faster": MetaAction.SPEED_UP, "slower": MetaAction.SLOW_DOWN,
              "left": MetaAction.LEFT, "right": MetaAction.RIGHT}
+
+
+def load(world: Batched, fleet: Fleet, scenario: Scenario, scene: int, seed: int, directive: str) -> None:
+    """Put that seed's traffic and directive into one scene."""
+    traffic, wishes, _ = streams(seed)
+    world.load(scene, scenario.spawn(traffic))
+    told = draw_wish(wishes, scenario, world.rows[scene], int(world.target_lane[scene]), overtake_share=1.0)
+    if directive != "random":
+        told = (ANY_LANE if directive == "hurry" and scenario.wish_lanes else told[0], told[1],
+                scenario.ego.speed_ceiling_mps, ASSERTIVE_HEADWAY_S)
+    fleet.told_lane[scene], fleet.pass_id[scene], fleet.v_des[scene], fleet.headway[scene] = told
 
 
 def drive(
@@ -90,18 +107,12 @@ def drive(
     if directive not in get_args(Directive):
         raise ValueError(f"directive {directive!r} is not one of: {', '.join(get_args(Directive))}")
     if agent not in AGENTS:
-        raise ValueError(f"agent {agent!r} is not one of: {', '.join(AGENTS)}")
+        raise ValueError(f"agent {agent!r} is not one of: {', '.join([*AGENTS, *LANGUAGE])}")
     n = len(seeds)
     world = Batched(scenario, n, 0, ego="idm" if agent == "idm" else "executor")
     fleet = Fleet(world, task_of(scenario), masked=agent in MASKED)
     for i, seed in enumerate(seeds):
-        traffic, wishes, _ = streams(seed)
-        world.load(i, scenario.spawn(traffic))
-        told = draw_wish(wishes, scenario, world.rows[i], int(world.target_lane[i]), overtake_share=1.0)
-        if directive != "random":
-            told = (ANY_LANE if directive == "hurry" and scenario.wish_lanes else told[0], told[1],
-                    scenario.ego.speed_ceiling_mps, told[3])
-        fleet.told_lane[i], fleet.pass_id[i], fleet.v_des[i], fleet.headway[i] = told
+        load(world, fleet, scenario, i, seed, directive)
     if agent.startswith("ours"):
         logits: Logits = load_policy(checkpoint or SHIPPED).logits
     elif agent == "rule":
@@ -120,7 +131,7 @@ def drive(
         else:
             driver.tick()
         if tick % 15 == 0 and not scenario.wish_lanes:
-            _overtake_on(fleet)
+            overtake_on(fleet)
         recorder.tick(world.rows, world.accel, world.target_lane, world.previous_lane, world.crashed, active,
                       fleet.wish, fleet.v_des, driver.overridden)
         active &= ~fleet.over()
@@ -129,7 +140,7 @@ def drive(
     return recorder.results()
 
 
-def _overtake_on(fleet: Fleet) -> None:
+def overtake_on(fleet: Fleet) -> None:
     """Whoever has passed its car is asked to pass the next, as the slow node asks while the passenger is in a hurry."""
     rows = fleet.world.rows
     for s in np.flatnonzero(fleet.pass_id >= 0):
@@ -138,6 +149,19 @@ def _overtake_on(fleet: Fleet) -> None:
         if ahead.any() and not ahead[rows[s, :, 0] == fleet.pass_id[s]].any():
             nearest = np.where(ahead, rows[s, :, 1], np.inf).argmin()
             fleet.pass_id[s] = int(rows[s, nearest, 0])
+
+
+def _drive_language(
+    agent: str, scenario: Scenario, seeds: Sequence[int], directive: str
+) -> tuple[list[EpisodeResult], dict[str, Any]]:
+    """The episodes of a driver of `LANGUAGE`, and what its model did."""
+    from deploy.dilu import drive_dilu, memory, running_model
+
+    if directive != "hurry":
+        raise ValueError(f"{agent} knows no directive but hurry")
+    with running_model() as ask:
+        results, figures = drive_dilu(scenario, seeds, paused=agent == "dilu-paused", ask=ask, bank=memory())
+    return results, figures.summary()
 
 
 def evaluate_all(
@@ -152,13 +176,17 @@ def evaluate_all(
         died = set(range(episodes))
         for agent in agents:
             progress(f"{agent} on {name}")
-            results = drive(agent, SCENARIOS[name], range(FIRST_SEED, FIRST_SEED + episodes), checkpoint=checkpoint,
-                            directive=directive)
+            seeds = range(FIRST_SEED, FIRST_SEED + episodes)
+            more: dict[str, Any] = {}
+            if agent in LANGUAGE:
+                results, more["llm"] = _drive_language(agent, SCENARIOS[name], seeds, directive)
+            else:
+                results = drive(agent, SCENARIOS[name], seeds, checkpoint=checkpoint, directive=directive)
             died &= {i for i, r in enumerate(results) if r.collided}
             good = sum(r.success for r in results)
             rows.append({
                 "agent": agent, "scenario": name, "speed_set": SCENARIOS[name].speed_set, "first_seed": FIRST_SEED,
-                "success_ci95": wilson95(good, episodes), **summarise(results)})
+                "success_ci95": wilson95(good, episodes), **summarise(results), **more})
         unsurvived[name] = sorted(FIRST_SEED + i for i in died)
     return {"schema": SCHEMA, "directive": directive, "rows": rows, "unsurvived": unsurvived}
 
@@ -166,14 +194,14 @@ def evaluate_all(
 def table(result: dict[str, Any]) -> str:
     """The rows as plain text, one line each."""
     lines = [f"{'scenario':<16}{'agent':<14}{'success':>22}{'own':>5}{'hit':>5}{'speed':>7}{'a var':>7}{'min TTC':>9}"
-             f"{'in lane':>9}{'masked':>8}"]
+             f"{'lane ok':>9}{'speed ok':>9}{'masked':>8}"]
     for r in result["rows"]:
         low, high = r["success_ci95"]
         good = f"{100 * r['success']:.1f} % ({100 * low:.0f}-{100 * high:.0f})"
         lines.append(
             f"{r['scenario']:<16}{r['agent']:<14}{good:>22}{r['ego_fault_collisions']:>5}{r['struck_collisions']:>5}"
-            f"{r['avg_speed']:>7.2f}{r['accel_var']:>7.2f}{r['min_ttc_mean']:>9.2f}{100 * r['lane_compliance']:>8.0f}%"
-            f"{100 * r['override_share']:>7.1f}%")
+            f"{r['avg_speed']:>7.2f}{r['accel_var']:>7.2f}{r['min_ttc_mean']:>9.2f}{100 * r['lane_compliance']:>8.1f}%"
+            f"{100 * r['speed_compliance']:>8.1f}%{100 * r['override_share']:>7.1f}%")
     lines += [f"{name}: nobody survived {', '.join(map(str, seeds))}" for name, seeds in result["unsurvived"].items()
               if seeds and len(result["rows"]) > 1]
     return "\n".join(lines)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fast_node.mask import OPEN, close_actions, lane_table
+from fast_node.mask import OPEN, PRESETS, close_actions, lane_table
 from schemas.messages import MetaAction
 from sim_node.env import ScenarioEnv
 
@@ -14,7 +14,7 @@ def safety_mask(env: ScenarioEnv, meta: int) -> int:
     ego, lanes = env.ego, lane_table(env.published_lanes())
     rule, vehicle = [0] * 6, [-1] * 6
     close_actions(env.seen().tolist(), lanes, ego.target_speed, ego.target_lane, ego.previous_lane,
-                  env.scenario.sight_m, [0] * (3 * len(lanes)), rule, vehicle)
+                  env.scenario.sight_m, [0] * (3 * len(lanes)), rule, vehicle, PRESETS["sim"])
     if rule[meta] == OPEN:
         return meta
     return next((int(a) for a in _INSTEAD if rule[a] == OPEN), int(MetaAction.EMERGENCY_BRAKE))

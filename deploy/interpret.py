@@ -135,7 +135,7 @@ def running_thinker(*, ask: Ask = "auto", k: int = 4, reader: bool = True, empty
     server: subprocess.Popen[bytes] | None = None
     try:
         if model.embedded and ask != "never":
-            server = _embedded_server(model.port, threads)
+            server = embedded_server(model.port, threads)
             if server is None:
                 print("fastslow: the embedded model did not start; the reader answers alone", file=sys.stderr)
                 ask = "never"
@@ -153,8 +153,8 @@ def running_thinker(*, ask: Ask = "auto", k: int = 4, reader: bool = True, empty
         signal.signal(signal.SIGTERM, before)
 
 
-def _embedded_server(port: int, threads: int) -> subprocess.Popen[bytes] | None:
-    config = json.dumps({"port": port, "threads": threads, "polite": False})
+def embedded_server(port: int, threads: int, *, polite: bool = False) -> subprocess.Popen[bytes] | None:
+    config = json.dumps({"port": port, "threads": threads, "polite": polite})
     server = subprocess.Popen([sys.executable, "-m", "slow_node.embedded", config], stderr=subprocess.DEVNULL)
     due = time.monotonic() + MODEL_START_S
     while time.monotonic() < due and server.poll() is None:

@@ -4,41 +4,95 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from deploy.evaluate import overtake_on, task_of
+from fast_node.coordination import ASSERTIVE_HEADWAY_S
+from fast_node.training.rollout import Mixed, Scenes
+from schemas.wish import ANY_LANE
+from sim_node.engine.batched import Batched
+from sim_node.scenarios import SCENARIOS, Scenario
+from sim_node.scenarios.scenario import draw_wish
 
 SCENES = 64
 """In all; shared among the scenarios."""
 
 
-def train_policy(out: Path, scenarios: Sequence[str], steps: int, seed: int) -> dict[str, float]:
-    """Train one policy on these scenarios and export it, with a progress bar on stderr.
+def hurry(scenario: Scenario, rng: np.random.Generator, rows: Any, home: int) -> tuple[int, int, float, float]:
+    """The directive of `fastslow evaluate`, as `draw_wish`: full speed in any lane, or to overtake; close up."""
+    lane, lead, _, _ = draw_wish(rng, scenario, rows, home, overtake_share=1.0)
+    return ANY_LANE if scenario.wish_lanes else lane, lead, scenario.ego.speed_ceiling_mps, ASSERTIVE_HEADWAY_S
 
-    Raises ImportError without extra `train` and ValueError for an unknown scenario.
+
+class HurriedScenes(Scenes):
+    """Scenes whose passenger is in a hurry all along, and wishes to overtake one car after the other."""
+
+    def _direct(self, which: NDArray[np.bool_]) -> None:
+        super()._direct(which & (self.age == 0))
+
+    def decide(self, action: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_]]:
+        result = super().decide(action)
+        if (self.pass_id >= 0).any():
+            overtake_on(self)
+            self.look()
+        return result
+
+
+def scenes_of(
+    scenario: Scenario, scenes: int, world_seed: int, wish_seed: int, *, hurried: bool = False, masked: bool = True,
+) -> Scenes:
+    """Scenes to learn or to be measured in: with random directives, or in a hurry; behind the mask, or not."""
+    task = task_of(scenario)
+    if not hurried:
+        return Scenes(Batched(scenario, scenes, world_seed), task, wish_seed, masked=masked)
+    task = replace(task, draw=partial(hurry, scenario))
+    return HurriedScenes(Batched(scenario, scenes, world_seed), task, wish_seed, masked=masked)
+
+
+def mixed_scenes(
+    scenarios: Sequence[str], seed: int, *, scenes: int = SCENES, after: int = 0, hurried: bool = False,
+    masked: bool = True,
+) -> Mixed:
+    """What a run with this seed learns in; `after` so many decisions it has other worlds than before.
+
+    Raises ValueError for an unknown scenario.
     """
-    from deploy.evaluate import task_of
-    from fast_node.training.rollout import Mixed, Scenes
-    from fast_node.training.train import train
-    from sim_node.engine.batched import Batched
-    from sim_node.scenarios import SCENARIOS
-
     unknown = sorted(set(scenarios) - set(SCENARIOS))
     if unknown:
         raise ValueError(f"{', '.join(unknown)}: choose from {', '.join(SCENARIOS)}")
-    each = max(SCENES // len(scenarios), 1)
-    parts = [
-        Scenes(Batched(SCENARIOS[name], each, 10_000_000 + 1000 * seed + k), task_of(SCENARIOS[name]),
-               1000 * seed + k)
-        for k, name in enumerate(scenarios)
-    ]
+    each, fresh = max(scenes // len(scenarios), 1), 10**8 * after
+    return Mixed([
+        scenes_of(SCENARIOS[name], each, 10_000_000 + 1000 * seed + k + fresh, 1000 * seed + k + fresh,
+                  hurried=hurried, masked=masked)
+        for k, name in enumerate(scenarios)])
+
+
+def train_policy(
+    out: Path, scenarios: Sequence[str], steps: int, seed: int, *, resume: bool = False
+) -> dict[str, float]:
+    """Train one policy on these scenarios and export it, with a progress bar on stderr.
+
+    `resume` goes on where an interrupted run to the same `out` was last saved, in new worlds. Raises ImportError
+    without extra `train`, ValueError for an unknown scenario, and `ConfigError` where there is nothing to resume.
+    """
+    from fast_node.training.train import saved_state, train
+
+    after = saved_state(out)["steps"] if resume else 0
+    scenes = mixed_scenes(scenarios, seed, after=after)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(file=sys.stderr)) as bar:
-        task = bar.add_task("learning", total=steps)
+        task = bar.add_task("learning", total=steps, completed=after)
 
         def progress(done: int, figures: dict[str, float]) -> None:
             text = f"return {figures['episodic_return']:.2f} crashes {figures['crash_rate']:.1%}"
             bar.update(task, completed=done, description=text)
 
-        return train(Mixed(parts), out, steps=steps, seed=seed, progress=progress)
+        return train(scenes, out, steps=steps, seed=seed, progress=progress, resume=resume)

@@ -13,6 +13,11 @@ from schemas.clock import NS
 from schemas.messages import Closure, Directive, Event, MetaAction, Observation
 from schemas.wish import ANY_LANE, SPEED_TOLERANCE_MPS, Wish, lead_of, wished_lane
 
+HEADWAY_SHARE = 0.9
+"""A wished headway is met with this share of it."""
+ASSERTIVE_HEADWAY_S, CALM_HEADWAY_S = 1.0, 2.0
+"""Where the passenger wishes a style, but no headway."""
+
 
 class Coordination:
     """Follows one directive at a time through an epoch. Pure: time comes with each call."""
@@ -67,7 +72,9 @@ class Coordination:
         if self._waiting is not None and self._waiting_since >= 0 and self._waiting.rule == RULES[REAR_GAP]:
             speed = limit  # the paper's t = 20 s: accelerate first to widen the gap, then change
         speed = min(max(speed, 0.0), limit)
-        wish = Wish(lane, speed, current.headway_s or self._headway_s)
+        headway = current.headway_s or {"assertive": ASSERTIVE_HEADWAY_S, "calm": CALM_HEADWAY_S}.get(
+            current.style, self._headway_s)
+        wish = Wish(lane, speed, headway)
         if not self._done and self._fulfilled(current, observation, rows, wish, home):
             self._done = True
             self._cruise_mps = speed if current.manoeuvre != "stop" else 0.0
@@ -132,8 +139,12 @@ class Coordination:
             return passed and settled and observation.target_lane == home
         no_speed = directive.target_speed_mps is None and directive.manoeuvre != "stop"
         right_speed = no_speed or math.isclose(rows[0][3], wish.speed_mps, abs_tol=SPEED_TOLERANCE_MPS)
+        lead = next((r for r in rows[1:] if int(r[0]) == lead_of(rows, observation.target_lane)), None)
+        gap = lead[1] - rows[0][1] - 0.5 * (lead[6] + rows[0][6]) if lead else math.inf
+        too_close = directive.headway_s is not None and gap < HEADWAY_SHARE * directive.headway_s * rows[0][3]
         borrowed_for_nothing = directive.manoeuvre == "overtake" and observation.lanes[max(home - 1, 0)].direction < 0
-        return settled and wish.lane in (ANY_LANE, observation.target_lane) and right_speed and not borrowed_for_nothing
+        return settled and wish.lane in (ANY_LANE, observation.target_lane) and right_speed and not (
+            too_close or borrowed_for_nothing)
 
     def _event(
         self, kind: Any, directive: Directive, observation: Observation, closure: Closure | None = None,

@@ -3,49 +3,63 @@
 It reads the state and never the directive. `close_actions` is plain arithmetic on sequences: the node runs it as it is
 on lists, and training compiles the same source with numba on arrays, so that there is one mask.
 
-The claims behind each rule are RSS distances (`schemas.measures`) with the named `PRESET` below, matched to what the
-simulated traffic and our executor can do; they hold for that traffic, not for a real road.
+The claims behind each rule are RSS distances (`schemas.measures`) with one of the named `PRESETS`: what the ego and the
+others are taken to do. They hold for traffic that does so, not for a real road.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from schemas.measures import CAR_LENGTH_M, gap_m, rss_opposite_m, rss_same_direction_m
 from schemas.messages import Lane, MetaAction
 from schemas.wish import BEHIND_M
 
-VERSION = "mask/2"
+VERSION = "mask/3"
 
 SLOW_DOWN, CRUISE, SPEED_UP, LEFT, RIGHT, BRAKE = (int(a) for a in MetaAction)
 
 RULES = ("", "no lane there", "one change at a time", "lead too close", "speed above the gap's", "front gap in lane",
          "rear gap in lane", "oncoming traffic", "no gap to return to", "nothing to pass", "finish the pass",
-         "give up the pass", "lane ends", "give up the change")
+         "give up the pass", "lane ends", "give up the change", "not wished")
 (OPEN, NO_LANE, CHANGING, LEAD, SPEED_FOR_GAP, FRONT_GAP, REAR_GAP, ONCOMING, NO_RETURN, NOTHING_TO_PASS, FINISH,
- GIVE_UP, LANE_ENDS, GIVE_UP_CHANGE) = range(14)
+ GIVE_UP, LANE_ENDS, GIVE_UP_CHANGE, NOT_WISHED) = range(15)
 
-# Columns of the lane table, see `lane_table`.
-Y, START, END, DIRECTION, WIDTH, LIMIT, CHANGE_FROM, RAMP = range(8)
 
-# Preset `sim`: seconds, m/s2. The ego answers within one tick and brakes at 6; simulated cars brake at 6 at most.
-REACTION_S = 2.0 / 15.0
-EGO_BRAKE = 5.0
-LEAD_BRAKE = 6.0
-STANDSTILL_M = 2.5
-FOLLOW_S = 0.7
+class Preset(NamedTuple):
+    """What is assumed of the ego and of others; s, m, m/s2 (brakes as magnitudes)."""
+
+    reaction_s: float
+    """Until the ego brakes."""
+    ego_brake: float
+    """What the ego is sure to manage."""
+    lead_brake: float
+    """The most that a car ahead brakes with."""
+    standstill_m: float
+    follow_s: float
+    """Time gap to a leader at which the set-point is the leader's speed."""
+    ceiling_reaction_s: float
+    ceiling_brake: float
+    """The speed that a gap admits leaves the executor time to brake with this, before RSS would need all it has."""
+    follower_reaction_s: float
+    """Until a car behind brakes for an ego that has come in before it."""
+    follower_brake: float
+    """What a car behind is sure to manage."""
+    courtesy_brake: float
+    """What a follower is spared where the change can wait: MOBIL's b_safe, for IDM drivers."""
+
+
+PRESETS = {
+    # Our executor answers within one tick and brakes at 6; simulated cars brake at 6 at most.
+    "sim": Preset(2.0 / 15.0, 5.0, 6.0, 2.5, 0.7, 0.3, 4.5, 0.8, 6.0, 1.9),
+    # For traffic that brakes harder and reacts later than ours.
+    "cautious": Preset(0.3, 4.5, 7.0, 3.0, 1.0, 0.4, 4.0, 1.0, 5.0, 1.5),
+}
 FOLLOW_GAIN = 0.5
-CEILING_REACTION_S = 0.3
-CEILING_BRAKE = 4.5
-"""The speed that a gap admits leaves the executor time to brake with this, before RSS would need all it has."""
-FOLLOWER_REACTION_S = 0.8
 FOLLOWER_BLIND_S = 1.0
 CREEP_MPS = 5.0
-FOLLOWER_BRAKE = 6.0
-# A follower reacts when the ego comes into its lane; an ego slower than this takes up to so much longer to get there.
-# What a follower is to be spared where the change can wait: MOBIL's b_safe, with the IDM that simulated cars drive by.
-COURTESY_BRAKE = 2.0
+"""A follower reacts when the ego comes into its lane; a slower ego takes up to `FOLLOWER_BLIND_S` longer for that."""
 IDM_GAP_M, IDM_TIME_S, IDM_ACCEL, IDM_BRAKE = 5.0, 1.5, 3.0, 5.0
 CUT_IN_MPS = 0.3
 CUT_IN_S = 2.0
@@ -93,26 +107,27 @@ def lane_table(lanes: tuple[Lane, ...]) -> list[tuple[float, ...]]:
              float(b.kind == "ramp")) for b in lanes]
 
 
-def allowed_speed(gap: float, lead_mps: float) -> float:
+def allowed_speed(gap: float, lead_mps: float, p: Preset) -> float:
     """Highest speed set-point that a gap admits: rising from the lead's at the following distance with spare room,
     and never more than what RSS lets the ego brake from."""
-    follow = lead_mps + FOLLOW_GAIN * (gap - STANDSTILL_M - FOLLOW_S * lead_mps)
-    lag = CEILING_REACTION_S * CEILING_BRAKE
+    follow = lead_mps + FOLLOW_GAIN * (gap - p.standstill_m - p.follow_s * lead_mps)
+    lag = p.ceiling_reaction_s * p.ceiling_brake
     room = max(gap - 2.0, 0.0)
-    stop = math.sqrt(lag * lag + 2.0 * CEILING_BRAKE * room + CEILING_BRAKE / LEAD_BRAKE * lead_mps * lead_mps) - lag
+    stop = math.sqrt(
+        lag * lag + 2.0 * p.ceiling_brake * room + p.ceiling_brake / p.lead_brake * lead_mps * lead_mps) - lag
     return max(0.0, min(follow, stop))
 
 
-def follower_gap(behind_mps: float, ego_mps: float, must: bool) -> float:
+def follower_gap(behind_mps: float, ego_mps: float, must: bool, p: Preset) -> float:
     """Gap that a car behind needs when the ego comes in before it: to be able to stop (RSS), and, unless the ego
-    `must` leave its lane, not to have to brake harder than `COURTESY_BRAKE` as an IDM driver."""
-    reaction_s = FOLLOWER_REACTION_S + FOLLOWER_BLIND_S * max(0.0, 1.0 - ego_mps / CREEP_MPS)
-    need = rss_same_direction_m(behind_mps, ego_mps, reaction_s, 0.5, FOLLOWER_BRAKE, EGO_BRAKE)
+    `must` leave its lane, not to have to brake harder than the courtesy brake as an IDM driver."""
+    reaction_s = p.follower_reaction_s + FOLLOWER_BLIND_S * max(0.0, 1.0 - ego_mps / CREEP_MPS)
+    need = rss_same_direction_m(behind_mps, ego_mps, reaction_s, 0.5, p.follower_brake, p.ego_brake)
     if not must:
         closing = behind_mps - ego_mps
         wanted = IDM_GAP_M + behind_mps * IDM_TIME_S + behind_mps * closing / (2.0 * math.sqrt(IDM_ACCEL * IDM_BRAKE))
-        need = max(need, wanted * math.sqrt(IDM_ACCEL / COURTESY_BRAKE))
-    return max(need, STANDSTILL_M + 1.0)
+        need = max(need, wanted * math.sqrt(IDM_ACCEL / p.courtesy_brake))
+    return max(need, p.standstill_m + 1.0)
 
 
 def pass_time_s(distance: float, faster_mps: float, top_mps: float) -> float:
@@ -125,6 +140,11 @@ def pass_time_s(distance: float, faster_mps: float, top_mps: float) -> float:
     if ramp_m <= distance:
         return ramp_s + (distance - ramp_m) / top
     return (math.sqrt(faster_mps * faster_mps + 2.0 * PASS_ACCEL * distance) - faster_mps) / PASS_ACCEL
+
+
+def half_width(row: Any) -> float:
+    """Half of what a car takes up across the road [m]: more than half its width where it stands askew."""
+    return 0.5 * (float(row[7]) * abs(math.cos(row[5])) + float(row[6]) * abs(math.sin(row[5])))
 
 
 def survey(rows: Any, lanes: Any, near: Any) -> None:
@@ -171,7 +191,7 @@ def survey(rows: Any, lanes: Any, near: Any) -> None:
             lane = other
 
 
-def entry(rows: Any, lanes: Any, near: Any, lane: int, aim: int, giving_up: bool) -> tuple[int, int]:
+def entry(rows: Any, lanes: Any, near: Any, lane: int, aim: int, giving_up: bool, p: Preset) -> tuple[int, int]:
     """Whether the ego may enter lane `aim` of its own direction from `lane` now: (rule, row index), `OPEN` if so.
 
     giving_up: it is still partly there.
@@ -186,7 +206,7 @@ def entry(rows: Any, lanes: Any, near: Any, lane: int, aim: int, giving_up: bool
     ahead, behind, oncoming = near[3 * aim], near[3 * aim + 1], near[3 * aim + 2]
     if ahead >= 0:
         gap = gap_m(x, rows[ahead][1], length, rows[ahead][6])
-        need = rss_same_direction_m(v, max(rows[ahead][3], 0.0), REACTION_S, 1.0, EGO_BRAKE, LEAD_BRAKE)
+        need = rss_same_direction_m(v, max(rows[ahead][3], 0.0), p.reaction_s, 1.0, p.ego_brake, p.lead_brake)
         if gap < need + 1.5:
             return FRONT_GAP, ahead
     if behind >= 0:
@@ -195,7 +215,7 @@ def entry(rows: Any, lanes: Any, near: Any, lane: int, aim: int, giving_up: bool
         if lanes[lane][3] < 0:
             facing = near[3 * lane + 2]
             must = facing >= 0 and rows[facing][1] - x < LEAVE_S * (v - rows[facing][3]) + MUST_M
-        if gap < follower_gap(rows[behind][3], v, must):
+        if gap < follower_gap(rows[behind][3], v, must, p):
             return REAR_GAP, behind
     if oncoming >= 0:  # a car passing head-on in our own lane
         return ONCOMING, oncoming
@@ -213,7 +233,7 @@ def ahead_of(rows: Any, lane: int, x: float) -> int:
     return found
 
 
-def passing(rows: Any, lanes: Any, near: Any, home: int, away: int, sight: float) -> tuple[int, int]:
+def passing(rows: Any, lanes: Any, near: Any, home: int, away: int, sight: float, p: Preset) -> tuple[int, int]:
     """Whether the ego can still pass what is ahead in lane `home` through the oncoming lane `away`: (rule, row index).
 
     Cars too close to each other to return between them are passed together.
@@ -230,7 +250,7 @@ def passing(rows: Any, lanes: Any, near: Any, home: int, away: int, sight: float
             break
         room = gap_m(rows[lead][1], rows[after][1], rows[lead][6], rows[after][6])
         need = rss_same_direction_m(
-            lead_v + faster, max(rows[after][3], 0.0), REACTION_S, 1.0, EGO_BRAKE, LEAD_BRAKE)
+            lead_v + faster, max(rows[after][3], 0.0), p.reaction_s, 1.0, p.ego_brake, p.lead_brake)
         if room >= length + BEHIND_M + need + 4.0:
             break
         lead = after
@@ -253,12 +273,12 @@ def passing(rows: Any, lanes: Any, near: Any, home: int, away: int, sight: float
 
 def close_actions(
     rows: Any, lanes: Any, target_speed: float, target_lane: int, previous_lane: int, sight: float, near: Any,
-    rule: Any, vehicle: Any
+    rule: Any, vehicle: Any, p: Preset
 ) -> int:
     """Write the rule that closes each action (`OPEN`: none) and the vehicle's id; return how many actions are open.
 
     rows: (V, 9) as `ROW_COLUMNS`, ego first, id < 0 for an absent vehicle; lanes: (L, 8) as `lane_table`; sight [m];
-    near: (3 L,) working space; rule, vehicle: (6,) outputs. EMERGENCY_BRAKE is always open.
+    near: (3 L,) output of `survey`; rule, vehicle: (6,) outputs. EMERGENCY_BRAKE is always open.
     """
     ego = rows[0]
     x, y, v, length = ego[1], ego[2], ego[3], ego[6]
@@ -277,9 +297,9 @@ def close_actions(
         elif aim < 0 or aim >= n_lanes:
             rule[action] = NO_LANE
         elif lanes[aim][3] > 0:
-            rule[action], vehicle[action] = entry(rows, lanes, near, target_lane, aim, previous_lane >= 0)
+            rule[action], vehicle[action] = entry(rows, lanes, near, target_lane, aim, previous_lane >= 0, p)
         else:
-            rule[action], vehicle[action] = passing(rows, lanes, near, target_lane, aim, sight)
+            rule[action], vehicle[action] = passing(rows, lanes, near, target_lane, aim, sight, p)
             if rule[action] == OPEN:
                 ahead = near[3 * target_lane]
                 gap = gap_m(x, rows[ahead][1], length, rows[ahead][6]) if ahead >= 0 else 100.0
@@ -298,7 +318,7 @@ def close_actions(
         row = rows[i]
         if row[0] < 0 or row[1] < x or row[3] < -0.1:
             continue
-        aside = abs(row[2] - y) - 0.5 * (row[7] + ego[7]) - SIDE_M
+        aside = abs(row[2] - y) - half_width(row) - half_width(ego) - SIDE_M
         meeting = (ego[4] - row[4]) * (1.0 if row[2] > y else -1.0)  # how fast they come together sideways
         overlap = aside < 0.0 or aside < MEET_S * meeting
         in_lane = int(row[8]) == target_lane
@@ -310,7 +330,7 @@ def close_actions(
         lead_v = max(row[3], 0.0)
         leaving = not in_lane
         if overlap and gap < (0.5 if leaving else 1.0) + rss_same_direction_m(
-                v, lead_v, REACTION_S, 0.0, EGO_BRAKE + 1.0, LEAD_BRAKE):
+                v, lead_v, p.reaction_s, 0.0, p.ego_brake + 1.0, p.lead_brake):
             # While the two are still apart sideways the change may be given up; leaving a lane may go on.
             apart = aside > 0.0 and previous_lane >= 0 and int(ego[8]) == previous_lane
             for a in range(5):
@@ -318,7 +338,7 @@ def close_actions(
                     rule[a], vehicle[a] = LEAD, i
             rule[SLOW_DOWN], vehicle[SLOW_DOWN] = LEAD, i
         spare = gap - LEAVE_M if gap > LEAVE_M and must_leave else gap
-        limit = lead_v + (gap - 1.0) / 1.5 if leaving else allowed_speed(spare, lead_v)
+        limit = lead_v + (gap - 1.0) / 1.5 if leaving else allowed_speed(spare, lead_v, p)
         if limit < ceiling:
             ceiling, slower = limit, i
     end = lanes[target_lane][2] - x
@@ -330,7 +350,7 @@ def close_actions(
         rule[CRUISE], vehicle[CRUISE] = because, slower
     if rule[SPEED_UP] == OPEN and target_speed + 1.0 > ceiling:
         rule[SPEED_UP], vehicle[SPEED_UP] = because, slower
-    stop = v * REACTION_S + v * v / (2.0 * EGO_BRAKE)
+    stop = v * p.reaction_s + v * v / (2.0 * p.ego_brake)
     must_stop = end < END_M + stop
     if previous_lane >= 0 and lanes[previous_lane][2] < lanes[target_lane][2]:
         # Out of the lane that ends before its end? Else stop there while that is possible. No way back beyond that.
@@ -352,7 +372,8 @@ def close_actions(
         back = LEFT if previous_lane < target_lane else RIGHT
         if behind >= 0 and rule[back] == OPEN:
             gap = gap_m(rows[behind][1], x, rows[behind][6], length)
-            if gap < rss_same_direction_m(rows[behind][3], v, REACTION_S, 0.0, FOLLOWER_BRAKE, EGO_BRAKE) + 1.0:
+            if gap < rss_same_direction_m(
+                    rows[behind][3], v, p.reaction_s, 0.0, p.follower_brake, p.ego_brake) + 1.0:
                 for a in range(3):
                     if rule[a] == OPEN:
                         rule[a], vehicle[a] = GIVE_UP_CHANGE, behind
@@ -361,7 +382,7 @@ def close_actions(
     if away and rule[BRAKE] == OPEN:
         home = target_lane + 1
         oncoming = near[3 * target_lane + 2]
-        state, who = passing(rows, lanes, near, home, target_lane, sight)
+        state, who = passing(rows, lanes, near, home, target_lane, sight, p)
         if oncoming >= 0 or state != NOTHING_TO_PASS:
             back_open = rule[RIGHT] == OPEN
             if state in (ONCOMING, NO_RETURN):
@@ -384,7 +405,7 @@ def close_actions(
                     rule[a], vehicle[a] = ONCOMING, oncoming
         if oncoming >= 0 and rule[RIGHT] != OPEN:
             gap = gap_m(x, rows[oncoming][1], length, rows[oncoming][6])
-            need = rss_opposite_m(max(v, 0.0), -rows[oncoming][3], REACTION_S, 0.0, EGO_BRAKE, EGO_BRAKE + 1.0)
+            need = rss_opposite_m(max(v, 0.0), -rows[oncoming][3], p.reaction_s, 0.0, p.ego_brake, p.ego_brake + 1.0)
             if gap < need + 3.0:
                 for a in range(5):
                     if rule[a] == OPEN:

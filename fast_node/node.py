@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from fast_node.choice import HELD, SOURCES, choose, invite
+from fast_node.choice import HELD, SOURCES, choose, narrow
 from fast_node.config import FastConfig
 from fast_node.coordination import Coordination
-from fast_node.mask import OPEN, RULES, close_actions, lane_table
+from fast_node.mask import OPEN, PRESETS, RULES, close_actions, lane_table
 from fast_node.policy import Policy
 from schemas.codec import rows_of
 from schemas.features import Array, features
@@ -22,6 +22,7 @@ class FastNode:
 
     def __init__(self, config: FastConfig, policy: Policy) -> None:
         self._config, self._policy = config, policy
+        self._preset = PRESETS[config.mask_preset]
         self._coordination = Coordination(config.default_headway_s)
         self._wish: Wish | None = None
         self._decided_tick = -(10**9)
@@ -49,8 +50,9 @@ class FastNode:
         table = rows_of(observation).tolist()
         rule, vehicle = [0] * 6, [-1] * 6
         lanes = lane_table(observation.lanes)
+        near = [0] * (3 * len(lanes))
         close_actions(table, lanes, observation.target_speed_mps, observation.target_lane, observation.previous_lane,
-                      observation.sight_m, [0] * (3 * len(lanes)), rule, vehicle)
+                      observation.sight_m, near, rule, vehicle, self._preset)
         closed = tuple(Closure(action=a, rule=RULES[rule[a]], vehicle=vehicle[a])
                        for a in range(POLICY_ACTIONS) if rule[a] != OPEN)
         wish, events = self._coordination.wish(observation, table, directive, now_ns)
@@ -62,11 +64,11 @@ class FastNode:
             logits = self._logits(observation, table, wish)
             if not np.isfinite(logits).all():
                 raise FloatingPointError("non-finite logits")
-            invited = rule.copy()
-            invite(invited, lanes, observation.target_lane, wish.lane)
+            wished = rule.copy()
+            narrow(wished, table, near, lanes, observation.target_speed_mps, observation.target_lane,
+                   observation.previous_lane, wish.lane, wish.speed_mps, wish.headway_s)
             holding = observation.tick - self._decided_tick < self._config.decision_ticks
-            meta, by = choose(logits, invited, holding, lanes[observation.target_lane][3], observation.target_lane,
-                              wish.lane)
+            meta, by = choose(logits, wished, holding)
             if by != HELD:
                 self._decided_tick = observation.tick
             source, why = SOURCES[by], ""

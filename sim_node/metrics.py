@@ -14,8 +14,10 @@ Everything is of the ego, along the road, at the tick rate; axes: S scenes, V ve
 * headway: bumper gap / own speed to the leader in the ego's lane, mean over the ticks that have one within 100 m and
   a speed above 1 m/s [s]; nan without any.
 * progress: distance driven [m]. lane changes: how often the target lane left the ego's lane.
-* compliance: share of ticks in the wished lane (any lane where none is wished), share of ticks within 0.5 m/s of the
-  wished speed, seconds until the wished lane was first reached (nan: never).
+* compliance: share of episodes that reached the wished lane (any lane where none is wished); of the ticks in which it
+  was feasible, the share within 0.5 m/s of the wished speed: with no slower car less than `BLOCKED_S` ahead, no lane
+  change and no lane's end near, and that for long enough to get there at `ADAPT_MPS2`; seconds until the wished lane
+  was first reached (nan: never); share of ticks in it.
 * override share: ticks in which the mask decided against the driver.
 """
 
@@ -35,6 +37,11 @@ from sim_node.scenarios.scenario import Scenario
 CLOSING_MIN_MPS = 0.1
 HEADWAY_SIGHT_M = 100.0
 SIDEWAYS_MPS = 0.3
+ADAPT_MPS2, ADAPT_S = 1.0, 4.0
+"""A wished speed is due after its distance at this pace, a step of 1 m/s a second, and so long to settle."""
+BLOCKED_S = 5.0
+ENDS_M = 300.0
+"""Nearer to a lane's end than this, speed is for finding a gap."""
 PASSED_M = 5.0
 """The first lead is passed once the centres are this far apart: the bumpers no longer overlap."""
 
@@ -63,8 +70,12 @@ class EpisodeResult:
     headway_s: float
     progress_m: float
     lane_changes: int
-    lane_compliance: float
-    speed_compliance: float
+    in_lane: float
+    """Share of ticks in the wished lane."""
+    speed_ticks: int
+    """In which the wished speed was feasible; see the module."""
+    speed_complied: int
+    """Of those, within 0.5 m/s of it."""
     time_to_comply_s: float
     override_share: float
 
@@ -103,6 +114,9 @@ class Recorder:
     changing: Bools
     in_lane: Ints
     in_speed: Ints
+    could_speed: Ints
+    free: Ints
+    off: Floats
     complied: Floats
     overridden: Ints
     collided: Bools
@@ -113,6 +127,9 @@ class Recorder:
     def __init__(self, scenario: Scenario, scenes: int, hz: int = 15) -> None:
         self.scenario, self.hz = scenario, hz
         self.scenes = scenes
+        longest = scenario.road_end_m
+        ends = [plan.pieces[-1].end_m for plan in scenario.lanes]
+        self._ends = np.array([np.inf if end == longest else end for end in ends])
         self.restart(np.ones(scenes, np.bool_))
 
     def restart(self, which: Bools) -> None:
@@ -121,6 +138,7 @@ class Recorder:
             "ticks": 0, "speed": 0.0, "fastest": -np.inf, "slowest": np.inf, "accel": 0.0, "accel_square": 0.0,
             "last_accel": np.nan, "jerk_square": 0.0, "min_ttc": TTC_CAP_S, "headway": 0.0, "headway_n": 0,
             "start_x": np.nan, "x": np.nan, "changes": 0, "changing": False, "in_lane": 0, "in_speed": 0,
+            "could_speed": 0, "free": 0, "off": 0.0,
             "complied": np.nan, "overridden": 0, "collided": False, "struck": False, "passed": False, "home": -1,
         }
         for name, value in fresh.items():
@@ -133,6 +151,7 @@ class Recorder:
     ) -> None:
         """Take in the state after one tick: rows (S, V, 9), the rest (S,); scenes that are not `active` stay as is."""
         a = active
+        ends = self._ends
         ego = rows[:, 0]
         lane = ego[:, 8].astype(np.int64)
         speed, x = ego[:, 3].astype(np.float64), ego[:, 1].astype(np.float64)
@@ -154,6 +173,8 @@ class Recorder:
                 ttc = np.where(closing > CLOSING_MIN_MPS, gap / np.maximum(closing, CLOSING_MIN_MPS), TTC_CAP_S)
             self.min_ttc = np.where(a, np.minimum(self.min_ttc, ttc), self.min_ttc)
             if which is lane:
+                blocked = (gap < BLOCKED_S * speed) & (np.isfinite(gap))
+                lead_mps = speed - closing
                 follows = a & (gap < HEADWAY_SIGHT_M) & (speed > 1.0)
                 self.headway += np.divide(gap, speed, out=np.zeros_like(gap), where=follows)
                 self.headway_n += follows
@@ -165,7 +186,14 @@ class Recorder:
             self.in_lane += a & there
             self.complied = np.where(a & there & np.isnan(self.complied), self.ticks / self.hz, self.complied)
         if wish_speed is not None:
-            self.in_speed += a & (np.abs(speed - wish_speed) <= SPEED_TOLERANCE_MPS)
+            free = ~changing & (target_lane == lane) & (ends[lane] - x > ENDS_M) & ~(
+                blocked & (lead_mps < wish_speed + SPEED_TOLERANCE_MPS))
+            off = np.abs(speed - wish_speed)
+            self.free = np.where(a & free, self.free + 1, np.where(a, 0, self.free))
+            self.off = np.where(a & (self.free <= 1), off, self.off)
+            could = a & (self.free > (self.off / ADAPT_MPS2 + ADAPT_S) * self.hz)
+            self.could_speed += could
+            self.in_speed += could & (off <= SPEED_TOLERANCE_MPS)
         if overridden is not None:
             self.overridden += a & overridden
         first = rows[..., 0] == 1
@@ -195,7 +223,8 @@ class Recorder:
                 jerk_rms=float(np.sqrt(self.jerk_square[s] / n)), min_ttc_s=float(self.min_ttc[s]),
                 headway_s=float(self.headway[s] / self.headway_n[s]) if self.headway_n[s] else float("nan"),
                 progress_m=float(self.x[s] - self.start_x[s]), lane_changes=int(self.changes[s]),
-                lane_compliance=float(self.in_lane[s]) / n, speed_compliance=float(self.in_speed[s]) / n,
+                in_lane=float(self.in_lane[s]) / n, speed_ticks=int(self.could_speed[s]),
+                speed_complied=int(self.in_speed[s]),
                 time_to_comply_s=float(self.complied[s]), override_share=float(self.overridden[s]) / n))
         return out
 
@@ -239,8 +268,9 @@ def summarise(episodes: Sequence[EpisodeResult]) -> dict[str, float]:
         "min_ttc_mean": float(ttc.mean()), "min_ttc_median": float(np.median(ttc)),
         "min_ttc_p5": float(np.percentile(ttc, 5)), "headway_s": mean("headway_s"),
         "progress_m": mean("progress_m"), "lane_changes": mean("lane_changes"),
-        "lane_compliance": weighted("lane_compliance"), "speed_compliance": weighted("speed_compliance"),
-        "time_to_comply_s": mean("time_to_comply_s"),
-        "never_complied": float(np.mean([np.isnan(e.time_to_comply_s) for e in episodes])),
+        "lane_compliance": float(np.mean([np.isfinite(e.time_to_comply_s) for e in episodes])),
+        "speed_compliance": sum(e.speed_complied for e in episodes) / max(sum(e.speed_ticks for e in episodes), 1),
+        "speed_ticks": sum(e.speed_ticks for e in episodes),
+        "time_to_comply_s": mean("time_to_comply_s"), "in_wished_lane": weighted("in_lane"),
         "override_share": weighted("override_share"),
     }

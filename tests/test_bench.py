@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from deploy.bench import figures, latency, scale
+from deploy.bench.cli import app
+from deploy.bench.contenders import Lost, Peers, children
 from deploy.bench.peers import PeerConfig, near_end
 from schemas.clock import ManualClock, MonotonicClock
 from schemas.codec import rows_of
@@ -25,7 +33,7 @@ ROOT = Path(__file__).parent.parent
 
 
 def fastslow(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    env = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{cwd}"}
     return subprocess.run([sys.executable, "-m", "deploy", *arguments], cwd=cwd, env=env, capture_output=True,
                           text=True, timeout=120, check=False)
 
@@ -129,9 +137,166 @@ def test_a_crowd_has_as_many_vehicles_as_asked_for() -> None:
     assert len(set(rows[:, 0].tolist())) == len(set(rows[:, 1].tolist())) == 50
 
 
-def test_a_curve_ends_at_its_knee() -> None:
-    points = [{"x": 1, "p99_us": 900.0}, {"x": 2, "p99_us": 25_000.0}, {"x": 4, "breaks": "too large"}]
-    assert scale.knee(points) == {"holds": 1, "then": "p99 of 25.0 ms exceeds the deadline"}
+@pytest.mark.parametrize(("beyond", "why"), [
+    ({"x": 2, "n": 9, "p99_us": 25_000.0}, "p99 of 25.0 ms exceeds the deadline"),
+    ({"x": 2, "n": 9, "p99_us": 900.0, "misses": 3}, "3 of 9 ticks missed"),
+    ({"x": 2, "breaks": "too large"}, "too large")])
+def test_the_knee_is_the_first_point_that_does_not_hold(beyond: dict[str, Any], why: str) -> None:
+    points = [{"x": 1, "n": 9, "p99_us": 900.0, "misses": 0}, beyond, {"x": 4, "n": 9, "p99_us": 900.0}]
+    assert scale.knee(points) == {"holds": 1, "breaks_at": 2, "then": why}
+
+
+def test_the_largest_number_of_egos_is_found_between_two_that_were_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scale, "_egos", lambda _, n, __: {"x": n, "n": 1, "p99_us": 20_000.0 * n / 45})
+    holds = scale.knee(scale.egos(None, 1))["holds"]  # type: ignore[arg-type]
+    assert 43 <= holds <= 45
+
+
+def test_unanswered_ticks_last_their_period_and_skipped_ones_are_counted(tmp_path: Path) -> None:
+    tick = latency.PERIOD_NS
+    stamps = [(7, 0, 0, 500, tick, -1), (7, 1, tick, -1, 2 * tick, 0), (7, 2, 2 * tick, 600, 5 * tick, 0)]
+    np.array(stamps, np.int64).tofile(tmp_path / "0.trace")
+    assert scale._round_trips(tmp_path / "0.trace", 0, 10 * tick) == ([500, tick, 600], 2)
+
+
+def test_two_simulators_are_answered_at_every_tick_by_their_own_fast_nodes(tmp_path: Path) -> None:
+    point = scale._pairs(tmp_path, "auto", 1.0, 2)
+    assert 28 <= point["n"] <= 32
+
+
+def test_a_message_of_64_kib_is_lost_on_the_low_latency_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scale, "SIZES", (1024, 65_536))
+    assert scale.knee(scale.sizes(tmp_path, "off", 10)) == {
+        "holds": 1024, "breaks_at": 65_536,
+        "then": "lost without an error: the low-latency transport does not fragment"}
+
+
+def test_the_curves_are_drawn(tmp_path: Path) -> None:
+    points: list[dict[str, Any]] = [{"x": 1, "n": 9, "p50_us": 500.0, "p99_us": 900.0}, {"x": 2, "breaks": "too large"}]
+    curve = {"points": points, "knee": scale.knee(points)}
+    scale.plot({"curves": {"vehicles": curve, "egos": curve}}, tmp_path / "scale.png")
+    assert (tmp_path / "scale.png").read_bytes().startswith(b"\x89PNG")
+
+
+@contextmanager
+def two_peers(folder: Path, other: str) -> Iterator[Peers]:
+    with Peers(folder, ("floor", other), 512, 128, "off", patience_s=5.0) as peers:  # type: ignore[arg-type]
+        yield peers
+
+
+@pytest.mark.parametrize(("peer", "part"), [("zmq", "far end"), ("bus", "far end"), ("bus", "near end"),
+                                            ("dora", "dataflow")])
+def test_a_peer_that_dies_is_dropped_and_says_which_part_it_was(tmp_path: Path, peer: str, part: str) -> None:
+    pytest.importorskip({"bus": "zenoh"}.get(peer, peer))
+    with two_peers(tmp_path, peer) as peers:
+        os.kill(peers.parts(peer)[part], signal.SIGKILL)
+        peers.order(peer, "rounds", 10)
+        assert peers.reply(peer) is None
+        assert f"its {part} was killed by signal 9" in peers.lost[peer]
+
+
+def test_a_peer_goes_on_when_another_has_died(tmp_path: Path) -> None:
+    with two_peers(tmp_path, "bus") as peers:
+        os.kill(peers.parts("bus")["far end"], signal.SIGKILL)
+        peers.order("bus", "rounds", 10)
+        peers.reply("bus")
+        peers.order("floor", "rounds", 10)
+        reply = peers.reply("floor")
+        assert reply is not None
+        assert len(reply[0]) == 10
+
+
+def test_a_peer_that_hangs_is_dropped(tmp_path: Path) -> None:
+    with Peers(tmp_path, ("floor",), 512, 128, "off", patience_s=1.0) as peers:
+        os.kill(peers.parts("floor")["far end"], signal.SIGSTOP)
+        peers.order("floor", "rounds", 10)
+        assert peers.reply("floor") is None
+        assert "did not answer for 1 s" in peers.lost["floor"]
+
+
+def test_no_process_outlives_its_block(tmp_path: Path) -> None:
+    with children() as start:
+        stubborn = start("child", tmp_path / "log", sys.executable, "-c", "import time; time.sleep(60)")
+    assert stubborn.trouble() == "its child was killed by signal 15"
+
+
+def marked(mark: str, module: str = "") -> list[int]:
+    """The processes that have `mark` in their environment and `module` in their command line."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if mark.encode() in (process / "environ").read_bytes() and module.encode() in (
+                    process / "cmdline").read_bytes():
+                found.append(int(process.name))
+        except OSError:  # it has ended, or is somebody else's
+            continue
+    return found
+
+
+@contextmanager
+def started(folder: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The command line in the background, and the mark of its processes."""
+    mark = f"FASTSLOW_TEST={uuid4()}"
+    env = {**os.environ, "PYTHONPATH": str(ROOT), **dict([mark.split("=")])}
+    process = subprocess.Popen([sys.executable, "-m", "deploy", *arguments], cwd=folder, env=env, text=True,
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        yield process, mark
+    finally:
+        process.kill()
+        process.wait()
+
+
+def wait_for(mark: str, module: str) -> int:
+    until = time.monotonic() + 20.0
+    while time.monotonic() < until:
+        if found := marked(mark, module):
+            return found[0]
+        time.sleep(0.05)
+    raise AssertionError(f"no {module} came up")
+
+
+FLOOR_ALONE = ("bench", "latency", "--seconds", "2", "--load", "none", "--peer", "floor", "--json")
+needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="finds processes in /proc")
+
+
+@needs_proc
+def test_without_ours_the_others_are_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FASTSLOW_TEST", mark := str(uuid4()))
+    samples = latency.Samples()
+
+    def kill() -> None:
+        wait_for(mark, "deploy.bench.peers")
+        os.kill(wait_for(mark, "fast_node"), signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    latency._paced(latency.Options(seconds=1.0, peers=("floor",)), "none", tmp_path, samples)
+    killer.join()
+    assert [len(took) for took in samples.took.values()] == [15]
+    assert samples.absent["ours", "none", "15hz"].startswith("fast killed by signal 9")
+
+
+@pytest.mark.parametrize(("absent", "code"), [("ours", 1), ("floor", 1), ("zmq", 0), ("dora", 0)])
+def test_only_without_ours_or_the_floor_the_benchmark_fails(
+        absent: str, code: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(latency, "run", lambda _: ({"rows": [], "absent": [{"what": absent}]}, Path("x")))
+    assert CliRunner().invoke(app, ["latency", "--json"]).exit_code == code
+
+
+@needs_proc
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_the_benchmark_and_all_it_started(tmp_path: Path, number: int, code: int) -> None:
+    with started(tmp_path, *FLOOR_ALONE) as (process, mark):
+        wait_for(mark, "deploy.bench.peers")
+        process.send_signal(number)
+        _, said = process.communicate(timeout=30)
+        assert (process.returncode, said.splitlines()[-1], marked(mark)) == (code, "fastslow: stopped", [])
+
+
+def test_stamps_that_were_not_written_are_a_loss(tmp_path: Path) -> None:
+    with pytest.raises(Lost, match=r"no stamps in .*sim\.trace"):
+        latency._read_traces(tmp_path, "none", 0, 1, latency.Samples())
 
 
 class Announced:
@@ -172,10 +337,12 @@ def test_what_does_not_exist_is_a_usage_error(tmp_path: Path, arguments: tuple[s
 
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
-    """One short run on the real processes."""
+    """One short run on the real processes, where pyzmq is broken."""
     folder = tmp_path_factory.mktemp("bench")
+    (folder / "zmq.py").write_text("raise ImportError('libzmq.so.5: no such file')\n")
     done = fastslow("bench", "latency", "--seconds", "2", "--load", "none", "--peer", "floor", "--peer", "bus",
-                    "--peer", "bus-default", "--json", "--out", "out", "--plot", "picture.png", cwd=folder)
+                    "--peer", "bus-default", "--peer", "zmq", "--json",
+                    "--out", "out", "--plot", "picture.png", cwd=folder)
     assert done.returncode == 0, done.stderr
     result: dict[str, Any] = json.loads(done.stdout)
     return result, folder
@@ -184,6 +351,12 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], 
 def test_every_contender_is_measured_at_both_paces(measured: tuple[dict[str, Any], Path]) -> None:
     assert {(row["what"], row["pace"]) for row in measured[0]["rows"]} == {
         (what, pace) for what in ("floor", "bus", "bus-default", "ours") for pace in ("15hz", "back-to-back")}
+
+
+def test_a_peer_that_cannot_start_is_absent_with_its_last_words(measured: tuple[dict[str, Any], Path]) -> None:
+    words = "end ended with code 1: ImportError: libzmq.so.5: no such file"
+    assert [(row["what"], row["pace"], words in row["why"]) for row in measured[0]["absent"]] == [
+        ("zmq", "15hz", True), ("zmq", "back-to-back", True)]
 
 
 def test_a_row_is_what_was_promised(measured: tuple[dict[str, Any], Path]) -> None:

@@ -128,7 +128,14 @@ def test_speeds_of_several_episodes_are_weighted_by_their_ticks() -> None:
     assert summarise(short + long)["avg_speed"] == pytest.approx(5.0)
 
 
-def test_compliance_counts_ticks_within_half_a_metre_per_second_of_the_wish() -> None:
-    result = record([car(0, 400, 1, 5.6)], [car(0, 400, 1, 5.4)], [car(0, 400, 0, 6.3)]).results()[0]
-    assert (result.speed_compliance, result.lane_compliance) == (pytest.approx(2 / 3), pytest.approx(2 / 3))
-    assert result.time_to_comply_s == pytest.approx(1 / 15)
+def test_lane_compliance_is_reaching_the_wished_lane() -> None:
+    result = record([car(0, 400, 0, 6)], [car(0, 400, 1, 6)], [car(0, 400, 1, 6)]).results()[0]
+    assert (result.in_lane, result.time_to_comply_s) == (pytest.approx(2 / 3), pytest.approx(2 / 15))
+    assert summarise([result])["lane_compliance"] == 1.0
+
+
+def test_speed_compliance_counts_the_ticks_in_which_the_wish_was_feasible() -> None:
+    settling, free = [[car(0, 400, 1, 5.0)]] * 75, [[car(0, 400, 1, 5.6)], [car(0, 400, 1, 5.4)]]
+    blocked = [[car(0, 400, 1, 4.0), car(1, 415, 1, 4.0)]] * 3
+    result = record(*settling, *free, *blocked).results()[0]
+    assert (result.speed_ticks, result.speed_complied) == (2, 1)

@@ -8,13 +8,14 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fast_node.mask import OPEN, RULES, close_actions, pass_time_s, passing, survey
+from fast_node.mask import OPEN, PRESETS, RULES, close_actions, pass_time_s, passing, survey
 from schemas.messages import MetaAction
 from schemas.wish import wished_lane
 from sim_node import executor
 
 LANES = [(0.0, 0.0, 3000.0, -1.0, 4.0, 8.0, -1e9, 0.0), (4.0, 0.0, 3000.0, 1.0, 4.0, 8.0, -1e9, 0.0)]
 SIGHT_M = 250.0
+SIM = PRESETS["sim"]
 
 
 def car(number: int, x: float, lane: int, speed: float, y: float | None = None) -> list[float]:
@@ -23,7 +24,8 @@ def car(number: int, x: float, lane: int, speed: float, y: float | None = None) 
 
 def judge(rows, lanes, target_speed: float, lane: int, previous: int = -1) -> tuple[list[int], list[int]]:
     rule, vehicle = [0] * 6, [0] * 6
-    opened = close_actions(rows, lanes, target_speed, lane, previous, SIGHT_M, [0] * (3 * len(lanes)), rule, vehicle)
+    near = [0] * (3 * len(lanes))
+    opened = close_actions(rows, lanes, target_speed, lane, previous, SIGHT_M, near, rule, vehicle, SIM)
     assert opened == sum(r == OPEN for r in rule)
     return rule, vehicle
 
@@ -85,7 +87,7 @@ def test_the_time_of_a_pass_agrees_with_the_distance_gained():
 def test_nothing_is_left_to_pass_once_there_is_room_to_return():
     rows, near = [car(0, 520, 0, 7), car(1, 510, 1, 4)], [0] * 6
     survey(rows, LANES, near)
-    assert RULES[passing(rows, LANES, near, 1, 0, SIGHT_M)[0]] == "nothing to pass"
+    assert RULES[passing(rows, LANES, near, 1, 0, SIGHT_M, SIM)[0]] == "nothing to pass"
 
 
 def test_the_wished_lane_is_the_oncoming_one_until_the_lead_is_passed():
@@ -164,7 +166,7 @@ def test_the_compiled_mask_of_training_closes_what_the_driving_mask_closes(other
     rows = np.array([car(0, 500, 1, speed)] + [
         car(i + 1, 500 + x, lane, v if lane == 1 else -v, y) for i, (x, lane, v, y) in enumerate(others)], np.float64)
     rule, vehicle = np.zeros(6, np.int64), np.zeros(6, np.int64)
-    rollout._close(rows, np.array(LANES), target, 1, -1, SIGHT_M, np.zeros(6, np.int64), rule, vehicle)
+    rollout._close(rows, np.array(LANES), target, 1, -1, SIGHT_M, np.zeros(6, np.int64), rule, vehicle, SIM)
     assert (rule.tolist(), vehicle.tolist()) == judge(rows.tolist(), LANES, target, 1)
 
 

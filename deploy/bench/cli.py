@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from deploy.bench import passenger as ride
 
 app = typer.Typer(name="bench", help="Measure what the runtime costs, on this machine and on the real processes.",
                   no_args_is_help=True, rich_markup_mode=None)
@@ -28,18 +33,45 @@ def _fail(reason: object) -> typer.Exit:
     return typer.Exit(78)
 
 
+@contextmanager
+def _readable_ends() -> Iterator[None]:
+    """What ends a benchmark early is one line and an exit code; whatever it has started has ended by then."""
+    from deploy.bench.contenders import Lost
+    from schemas.bus import BusError
+    from schemas.process import ConfigError, Stopped, stop_on_signals
+
+    try:
+        with stop_on_signals():
+            yield
+    except Stopped as stopped:
+        typer.echo("fastslow: stopped", err=True)
+        raise typer.Exit(stopped.code) from None
+    except Lost as lost:
+        typer.echo(f"fastslow: {lost}", err=True)
+        raise typer.Exit(1) from None
+    except (ConfigError, BusError, OSError) as error:
+        raise _fail(error) from None
+
+
+def _matplotlib(plot: Path | None) -> None:
+    if plot is not None and importlib.util.find_spec("matplotlib") is None:
+        raise _fail("--plot needs matplotlib: pip install 'fastslow[bench]'")
+
+
 @app.command(epilog="Examples:\n\n  fastslow bench latency\n\n"
                     "  fastslow bench latency --seconds 20 --load none --peer floor --peer bus\n\n"
                     "  fastslow bench latency --seconds 240 --json --plot latency.png\n\n"
+                    "  fastslow bench latency --seconds 900 --load llm --peer none\n\n"
                     "Loads: none; cpu, a thread per core of matrix products; llm, the embedded language model "
                     "answering without pause. Peers that are not installed are left out: "
-                    "pip install 'fastslow[bench]'.")
+                    "pip install 'fastslow[bench]'. What dies is absent from the table, with the reason; "
+                    "the exit code is 1 only if ours or the floor is.")
 def latency(
     seconds: Annotated[float, typer.Option(min=2.0, help="Paced time under each load; p99.9 needs 200.")] = 240.0,
     load: Annotated[list[str] | None, typer.Option(
         metavar="LOAD", help="none, cpu or llm; may be repeated.", show_default="all three")] = None,
     peer: Annotated[list[str] | None, typer.Option(
-        metavar="PEER", help="floor, bus, bus-default, zmq or dora; may be repeated.",
+        metavar="PEER", help="floor, bus, bus-default, zmq or dora; may be repeated. none: ours alone.",
         show_default="all that are installed")] = None,
     realtime: Realtime = "auto",
     plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the paced distributions.")] = None,
@@ -50,57 +82,57 @@ def latency(
     """Time observation to action on the real processes, beside a floor, the bare bus and other transports."""
     from deploy.bench import figures
     from deploy.bench import latency as bench
-    from schemas.process import ConfigError
+    from deploy.bench.contenders import LOADS
     from schemas.realtime import MODES
 
-    loads = _chosen(load, bench.LOADS, "--load")
-    peers = _chosen(peer, bench.PEERS, "--peer")
+    loads = _chosen(load, LOADS, "--load")
+    peers = () if peer == ["none"] else _chosen(peer, bench.PEERS, "--peer")
     _chosen([realtime], MODES, "--realtime")
-    if plot is not None:
-        try:
-            import matplotlib  # noqa: F401
-        except ImportError:
-            raise _fail("--plot needs matplotlib: pip install 'fastslow[bench]'") from None
-    try:
+    _matplotlib(plot)
+    with _readable_ends():
         result, path = bench.run(bench.Options(
             seconds=seconds, loads=loads, realtime=realtime, peers=peers, out=out))  # type: ignore[arg-type]
-        if plot is not None:
+        if plot is not None and result["rows"]:
             figures.plot(result, plot)
-    except (ConfigError, OSError) as error:
-        raise _fail(error) from None
     typer.echo(f"fastslow: kept in {path}", err=True)
     if as_json:
         typer.echo(json.dumps({k: v for k, v in result.items() if k != "histograms"}))
-        return
-    for line in bench.lines(result):
-        typer.echo(line)
+    else:
+        for line in bench.lines(result):
+            typer.echo(line)
+    if any(row["what"] in ("ours", "floor") for row in result["absent"]):
+        raise typer.Exit(1)
 
 
-@app.command(epilog="Examples:\n\n  fastslow bench scale\n\n  fastslow bench scale --rounds 100 --json")
+@app.command(epilog="Examples:\n\n  fastslow bench scale\n\n"
+                    "  fastslow bench scale --rounds 100 --json --plot scale.png")
 def scale(
     rounds: Annotated[int, typer.Option(min=20, help="Round trips for each point.")] = 1000,
-    seconds: Annotated[float, typer.Option(min=1.0, help="Of 15 Hz, for each number of loops.")] = 20.0,
+    seconds: Annotated[float, typer.Option(min=1.0, help="Of 15 Hz, for each number of simulators.")] = 20.0,
     realtime: Realtime = "auto",
+    plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the curves.")] = None,
     out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where the result goes.",
                                              show_default="runs/scale-TIME-PID")] = None,
     as_json: Json = False,
 ) -> None:
-    """Show how a tick's cost grows with vehicles, egos, loops on one machine and message size, and what breaks."""
+    """Show how a tick's cost grows with vehicles, egos, simulators on one machine and message size, and what breaks."""
     from deploy.bench import scale as bench
-    from schemas.process import ConfigError
     from schemas.realtime import MODES
 
     _chosen([realtime], MODES, "--realtime")
-    try:
+    _matplotlib(plot)
+    with _readable_ends():
         result, path = bench.run(realtime, rounds, seconds, out)  # type: ignore[arg-type]
-    except (ConfigError, OSError) as error:
-        raise _fail(error) from None
+        if plot is not None:
+            bench.plot(result, plot)
     typer.echo(f"fastslow: kept in {path}", err=True)
     if as_json:
         typer.echo(json.dumps(result))
-        return
-    for line in bench.lines(result):
-        typer.echo(line)
+    else:
+        for line in bench.lines(result):
+            typer.echo(line)
+    if not all(curve["points"] for curve in result["curves"].values()):
+        raise typer.Exit(1)
 
 
 @app.command(epilog="Examples:\n\n  fastslow bench sim\n\n  fastslow bench sim --vehicles 50 --policy-hz 15 --json")
@@ -157,3 +189,6 @@ def compare(
             f"{' *' if f['differ'] else '  '}" for name, f in row.items() if isinstance(f, dict))
         typer.echo(f"{row['load']:<5} {row['pace']:<13} {row['what']:<12} {said}")
     typer.echo("* differs by more than chance; a machine whose speed drifts does that too: compare floor with floor")
+
+
+app.command(epilog=ride.EPILOG)(ride.passenger)

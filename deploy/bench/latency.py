@@ -7,37 +7,41 @@ import json
 import os
 import platform
 import shutil
-import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
-from multiprocessing.connection import Connection, Listener
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import msgspec
 import numpy as np
 
 from deploy.bench import figures
-from deploy.bench.peers import PeerConfig, Transport, socket_of
-from deploy.processes import Model, RunOptions, free_port, process_table, router_endpoints
-from deploy.supervisor import Supervisor
+from deploy.bench.contenders import (
+    LOADS,
+    PATIENCE_S,
+    Deployment,
+    Load,
+    Lost,
+    Peers,
+    children,
+    dora_command,
+    loaded,
+    rss_mb,
+    say,
+)
+from deploy.bench.peers import Transport
 from schemas import topics
-from schemas.bus import BusConfig, ZenohBus, open_bus
+from schemas.bus import BusConfig, open_bus
 from schemas.clock import NS
 from schemas.codec import encode
-from schemas.messages import Observation
-from schemas.process import ConfigError
 from schemas.realtime import Mode, resolve
 
-Load = Literal["none", "cpu", "llm"]
-LOADS: tuple[Load, ...] = ("none", "cpu", "llm")
 PEERS: tuple[Transport, ...] = ("floor", "bus", "bus-default", "zmq", "dora")
 HZ = 15
 PERIOD_NS = NS // HZ
@@ -46,6 +50,8 @@ SETTLE_S = 2.0
 TURN = 200
 """Back to back, the contenders take turns of this many rounds."""
 STARTS = 5
+TYPICAL_BYTES = (1024, 256)
+"""Of an observation and an action, for the others' payloads while ours has sent none."""
 PARTS = ("bus out", "decode", "mask", "features", "policy", "rest of the step", "encode and put", "bus back")
 INCLUDED = (
     "ours: from just before sim encodes and publishes an observation until sim has decoded the action that answers it, "
@@ -76,16 +82,22 @@ class Samples:
     took: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
     skipped: dict[tuple[str, str, str], int] = field(default_factory=dict)
     parts: dict[str, dict[str, list[float]]] = field(default_factory=dict)
-    extra: dict[str, dict[str, object]] = field(default_factory=dict)
+    extra: dict[str, dict[str, Any]] = field(default_factory=dict)
+    absent: dict[tuple[str, str, str], str] = field(default_factory=dict)
+    """What should have been measured, and why it was not."""
+    seen: bytes = b""
+    """An observation of the real simulator, encoded."""
+    sizes: tuple[int, int] = TYPICAL_BYTES
+    """Of an observation and an action."""
 
     def add(self, key: tuple[str, str, str], took_ns: Sequence[int], skipped: int = 0) -> None:
         self.took.setdefault(key, []).extend(t / 1000.0 for t in took_ns)
         self.skipped[key] = self.skipped.get(key, 0) + skipped
 
-
-def say(line: str) -> None:
-    """Progress, on stderr."""
-    print(line, file=sys.stderr, flush=True)
+    def lose(self, key: tuple[str, str, str], why: str) -> None:
+        """One row less, which is said at once."""
+        self.absent[key] = why
+        say(f"bench: load {key[1]}, {key[2]}: without {key[0]}: {why}")
 
 
 def available(wanted: tuple[Transport, ...]) -> tuple[Transport, ...]:
@@ -94,7 +106,7 @@ def available(wanted: tuple[Transport, ...]) -> tuple[Transport, ...]:
     found: list[Transport] = []
     for peer in wanted:
         missing = [name for name in packages.get(peer, ()) if importlib.util.find_spec(name) is None]
-        if peer == "dora" and not missing and not _dora_command():
+        if peer == "dora" and not missing and not dora_command():
             missing = ["the dora command (dora-rs-cli)"]
         if missing:
             say(f"bench: without {peer}: {', '.join(missing)} not installed; pip install 'fastslow[bench]'")
@@ -103,275 +115,61 @@ def available(wanted: tuple[Transport, ...]) -> tuple[Transport, ...]:
     return tuple(found)
 
 
-def _dora_command() -> str | None:
-    return shutil.which("dora", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}")
-
-
-def _environment() -> dict[str, str]:
-    env = {k: v for k, v in os.environ.items() if k != "ZENOH_RUNTIME"}  # our own choice, set by `open_bus`
-    root = str(Path(__file__).resolve().parents[2])
-    paths = [root, *env.get("PYTHONPATH", "").split(os.pathsep)]
-    return {**env, "PYTHONPATH": os.pathsep.join(filter(None, paths)), "OPENBLAS_NUM_THREADS": "1"}
-
-
-# --- what runs beside each other ---------------------------------------------------------------------------------
-
-
-@contextmanager
-def _processes(log: Path) -> Iterator[Any]:
-    """Yields what starts a process that ends with the block; its output goes to `log`."""
-    started: list[subprocess.Popen[bytes]] = []
-    with log.open("ab") as file:
-
-        def start(*argv: str, env: dict[str, str] | None = None) -> subprocess.Popen[bytes]:
-            started.append(subprocess.Popen(argv, stdin=subprocess.DEVNULL, stdout=file, stderr=file,
-                                            env=env or _environment(), start_new_session=True))
-            return started[-1]
-
-        try:
-            yield start
-        finally:
-            for process in started:
-                process.terminate()
-            for process in started:
-                try:
-                    process.wait(3.0)
-                except subprocess.TimeoutExpired:
-                    process.kill()
-                    process.wait()
-
-
-class Deployment:
-    """The system as `fastslow run` deploys it, without what `without` names."""
-
-    def __init__(self, folder: Path, realtime: Mode, *without: str, trace: bool) -> None:
-        self.sockets = Path(tempfile.mkdtemp(prefix="fastslow-"))
-        self._port, llm = free_port(), free_port()
-        self.model = Model(base_url=f"http://127.0.0.1:{llm}/v1", name="SmolLM2-135M-Instruct", embedded=True, port=llm)
-        options = RunOptions(port=self._port, realtime=realtime, without=without, trace=folder if trace else None)
-        self._notices: list[str] = []
-        table = tuple(self._private(process) for process in process_table(options, self.model, self.sockets))
-        self._supervisor = Supervisor(table, folder, self._notices.append)
-        self._folder = folder
-        self.bus: ZenohBus
-        self.newest: Observation | None = None
-        self.action_bytes = 0
-
-    def _private(self, process: Any) -> Any:
-        """The passenger's own memory is not touched by a benchmark."""
-        argv = [*process.argv]
-        if process.name == "slow":
-            config = json.loads(argv[-1])
-            argv[-1] = json.dumps({**config, "memory_path": str(self.sockets / "memory.sqlite")})
-        return replace(process, argv=tuple(argv))
-
-    def __enter__(self) -> Deployment:
-        self._stack = ExitStack()
-        self._stack.callback(shutil.rmtree, self.sockets, ignore_errors=True)
-        self.bus = self._stack.enter_context(open_bus(BusConfig(
-            mode="router", listen=router_endpoints(self.sockets, self._port))))
-        self._status = self.bus.subscribe(topics.STATUS)
-        self._observations = self.bus.subscribe(topics.OBSERVATION)
-        self._actions = self.bus.subscribe_bytes(topics.ACTION)
-        self._stack.callback(self._supervisor.stop, self._read)
-        self._supervisor.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._stack.close()
-
-    def _read(self) -> None:
-        for status in self._status.take():
-            self._supervisor.beat(status.node, status.pid)
-        self.newest = next(iter(self._observations.take()), self.newest)
-        for payload in self._actions.take():
-            self.action_bytes = len(payload)
-
-    def step(self) -> None:
-        """Look after it, once. Raises `ConfigError` if a process is not what it should be."""
-        self._read()
-        code = self._supervisor.step()
-        if code is not None or any(self._supervisor.restarts.values()) or "gave up" in self._supervisor.states.values():
-            raise ConfigError(f"the system did not run through: {'; '.join(self._notices) or code}; "
-                              f"see {self._folder}/*.jsonl")
-
-    def ready(self, timeout_s: float = 60.0) -> None:
-        """Look after it until all are ready."""
-        deadline = time.monotonic() + timeout_s
-        while any(state != "ready" for state in self._supervisor.states.values()):
-            if time.monotonic() > deadline:
-                raise ConfigError(f"the system did not start: {self._supervisor.states}; see {self._folder}/*.jsonl")
-            self.step()
-            time.sleep(0.02)
-
-    def rss_mb(self, name: str) -> float | None:
-        """Resident memory of a node (Linux)."""
-        return rss_mb(self._supervisor.pid(name))
-
-
-def rss_mb(pid: int | None) -> float | None:
-    """Resident memory of a process in MB; None where /proc does not tell."""
-    try:
-        status = Path(f"/proc/{pid}/status").read_text()
-    except OSError:
-        return None
-    return round(int(status.partition("VmRSS:")[2].split()[0]) / 1000.0, 1)
-
-
-class Peers:
-    """The near ends, by transport, each with its connection for orders."""
-
-    def __init__(self, folder: Path, peers: Sequence[Transport], sent: int, answered: int, realtime: Mode,
-                 patience_s: float = 30.0) -> None:
-        self._patience_s = patience_s
-        self._folder, self._wanted, self._sizes, self._realtime = folder, tuple(peers), (sent, answered), realtime
-        self.orders: dict[str, Connection] = {}
-        self.scheduling: dict[str, str] = {}
-
-    def __enter__(self) -> Peers:
-        self._stack = ExitStack()
-        sockets = tempfile.mkdtemp(prefix="fastslow-")
-        self._stack.callback(shutil.rmtree, sockets, ignore_errors=True)
-        listener = self._stack.enter_context(Listener(socket_of(sockets, "orders")))
-        start = self._stack.enter_context(_processes(self._folder / "peers.log"))
-        for transport in self._wanted:
-            port = free_port()
-            far, near = (json.dumps(msgspec.to_builtins(PeerConfig(
-                transport=transport, near=near, folder=sockets, port=port, sent_bytes=self._sizes[0],
-                answered_bytes=self._sizes[1], realtime=self._realtime))) for near in (False, True))
-            if transport == "dora":
-                self._start_dora(start, Path(sockets), far, near)
-            else:
-                for config in (far, near):
-                    start(sys.executable, "-m", "deploy.bench.peers", config)
-            self.meet(listener, transport)
-        return self
-
-    def join_ours(self, system: Deployment, seen: bytes) -> None:
-        """Add the real fast node of `system`, with recorded observations sent to it in the simulator's place."""
-        recorded = self._folder / "observation.bin"
-        recorded.write_bytes(seen)
-        listener = self._stack.enter_context(Listener(socket_of(str(system.sockets), "orders")))
-        start = self._stack.enter_context(_processes(self._folder / "peers.log"))
-        start(sys.executable, "-m", "deploy.bench.peers", json.dumps(msgspec.to_builtins(PeerConfig(
-            transport="ours", near=True, folder=str(system.sockets), observation=str(recorded),
-            realtime=self._realtime))))
-        self.meet(listener, "ours")
-
-    def __exit__(self, *error: object) -> None:
-        for orders in self.orders.values():
-            try:
-                orders.send(None)
-            except OSError:
-                pass
-        self._stack.close()
-
-    def _start_dora(self, start: Any, folder: Path, far: str, near: str) -> None:
-        def node(name: str, other: str, config: str) -> dict[str, object]:
-            launcher = folder / f"{name}.py"
-            launcher.write_text(
-                "import sys\nsys.argv[1:] = [" + repr(config) + "]\nfrom deploy.bench import peers\n"
-                "try:\n    peers.main()\nexcept (EOFError, KeyboardInterrupt):\n    pass\n", encoding="utf-8")
-            return {"id": name, "path": str(launcher), "inputs": {"in": f"{other}/out"}, "outputs": ["out"]}
-
-        flow = folder / "flow.yml"
-        flow.write_text(json.dumps({"nodes": [node("near", "far", near), node("far", "near", far)]}), encoding="utf-8")
-        env = _environment()
-        env["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{env.get('PATH', '')}"
-        start(_dora_command() or "dora", "run", str(flow), env=env)
-
-    def meet(self, listener: Listener, transport: str) -> None:
-        """Wait until a near end has come and is ready. Raises `ConfigError` if it does not."""
-        met: list[Connection] = []
-        thread = threading.Thread(target=lambda: met.append(listener.accept()), daemon=True)
-        thread.start()
-        thread.join(30.0)
-        if not met or not met[0].poll(self._patience_s):
-            raise ConfigError(f"{transport} did not come up; see {self._folder}/peers.log")
-        name, scheduling = met[0].recv()
-        if not met[0].poll(self._patience_s):
-            raise ConfigError(f"{transport} did not answer; see {self._folder}/peers.log")
-        met[0].recv()
-        self.orders[name], self.scheduling[name] = met[0], scheduling
-
-
-@contextmanager
-def _load(load: Load, deployment: Deployment, folder: Path) -> Iterator[dict[str, object]]:
-    """Keeps the machine busy for the time of the block; yields what was done, complete at its end."""
-    did: dict[str, object] = {}
-    with ExitStack() as stack:
-        if load == "cpu":
-            start = stack.enter_context(_processes(folder / "load.log"))
-            cores = str(os.cpu_count() or 1)
-            code = "import numpy as np\na = np.ones((1200, 1200), np.float32)\nwhile True: a @ a"
-            start(sys.executable, "-c", code, env={**_environment(), "OPENBLAS_NUM_THREADS": cores})
-            did["threads"] = int(cores)
-        elif load == "llm":
-            stop = threading.Event()
-            asker = threading.Thread(target=_ask, args=(deployment.model, stop, did))
-            asker.start()
-            stack.callback(asker.join)
-            stack.callback(stop.set)
-        yield did
-
-
-def _ask(model: Model, stop: threading.Event, did: dict[str, object]) -> None:
-    import httpx
-
-    answers = tokens = 0
-    body = {"model": model.name, "max_tokens": 64,
-            "messages": [{"role": "user", "content": "Tell me how to drive on a country road, in detail."}]}
-    with httpx.Client(base_url=model.base_url, timeout=120.0, trust_env=False) as client:
-        while not stop.is_set():
-            try:
-                reply = client.post("/chat/completions", json=body).raise_for_status().json()
-                answers, tokens = answers + 1, tokens + int(reply["usage"]["completion_tokens"])
-            except httpx.HTTPError as error:
-                did["failure"] = str(error) or type(error).__name__
-                stop.wait(1.0)
-            did.update(answers=answers, tokens=tokens)
-
-
 # --- measuring ---------------------------------------------------------------------------------------------------
 
 
-def _paced(options: Options, load: Load, folder: Path, samples: Samples) -> tuple[int, int, bytes]:
-    """The paced half of one load. Returns the sizes of an observation and an action, and an observation."""
-    without = () if load == "llm" else ("llm",)
+def _paced(options: Options, load: Load, folder: Path, samples: Samples) -> None:
+    """The paced half of one load. Raises `Lost` if the load itself is lost."""
     n = round(options.seconds * HZ)
-    with Deployment(folder, options.realtime, *without, trace=True) as system:
-        system.ready()
-        while system.newest is None or not system.action_bytes:
-            system.step()
-            time.sleep(0.02)
-        seen = encode(system.newest)
-        sizes = len(seen), system.action_bytes
-        with Peers(folder, options.peers, *sizes, options.realtime) as peers, _load(load, system, folder) as did:
-            settled = time.monotonic() + SETTLE_S
-            while time.monotonic() < settled:
-                system.step()
-                time.sleep(0.02)
-            first = _next_tick_ns(system) + PERIOD_NS * 3
-            for i, orders in enumerate(peers.orders.values(), start=1):
-                orders.send(("paced", first + i * PERIOD_NS // (len(peers.orders) + 1), PERIOD_NS, n))
-            ends, said = first + n * PERIOD_NS, time.monotonic()
-            while time.monotonic_ns() < ends:
-                system.step()
-                time.sleep(0.05)
-                if time.monotonic() - said >= 10.0:
-                    said = time.monotonic()
-                    say(f"bench: load {load}: 15 Hz, {(time.monotonic_ns() - first) / NS:.0f} of {options.seconds:g} s")
-            late: dict[str, list[int]] = {}
-            for name, orders in peers.orders.items():
-                took, late[name], inferred = orders.recv()
-                samples.add((name, load, "15hz"), _with_inference(took, inferred))
-            memory = {name: system.rss_mb(name) for name in ("sim", "fast")}
-            scheduling = dict(peers.scheduling)
-    _read_traces(folder, load, first, ends, samples)
-    samples.extra[load].update(
-        load=did, rss_mb=memory, scheduling=scheduling,
-        timer_late_us={name: _p50_p99([t / 1000.0 for t in ns]) for name, ns in late.items() if ns})
-    return *sizes, seen
+    for name in ("sim", "fast"):  # those of the load before
+        (folder / f"{name}.trace").unlink(missing_ok=True)
+    found: dict[str, tuple[list[int], ...]] = {}
+    with ExitStack() as stack:
+        system = stack.enter_context(Deployment(folder, options.realtime, *(() if load == "llm" else ("llm",)),
+                                                trace=True))
+        try:
+            system.ready()
+            system.until(lambda: system.newest is not None and system.action_bytes > 0, "the first tick")
+            assert system.newest is not None
+            samples.seen, samples.sizes = encode(system.newest), (len(encode(system.newest)), system.action_bytes)
+        except Lost:
+            _check_load(load, system)
+        peers = stack.enter_context(Peers(folder, options.peers, *samples.sizes, options.realtime))
+        did = stack.enter_context(loaded(load, system.model, folder, system.step))
+        system.watch(SETTLE_S)
+        first = _next_tick_ns(system) + PERIOD_NS * 3
+        for i, name in enumerate(peers.names, start=1):
+            peers.order(name, "paced", first + i * PERIOD_NS // (len(peers.names) + 1), PERIOD_NS, n)
+        ends, said = first + n * PERIOD_NS, time.monotonic()
+        while time.monotonic_ns() < ends:
+            system.watch(0.05)
+            peers.check()
+            if time.monotonic() - said >= 10.0:
+                said = time.monotonic()
+                say(f"bench: load {load}: 15 Hz, {(time.monotonic_ns() - first) / NS:.0f} of {options.seconds:g} s")
+        for name in peers.names:
+            if (reply := peers.reply(name, system.step)) is not None:
+                found[name] = reply
+        _check_load(load, system)
+        extra = {"load": did, "rss_mb": {name: system.rss_mb(name) for name in ("sim", "fast")},
+                 "scheduling": {**{name: system.scheduling(name) for name in ("sim", "fast")}, **peers.scheduling}}
+    for name, (took, _, inferred) in found.items():
+        samples.add((name, load, "15hz"), _with_inference(took, inferred))
+    if not system.lost:
+        try:
+            _read_traces(folder, load, first, ends, samples)
+        except Lost as lost:
+            system.lost = str(lost)
+    for name, why in {**peers.lost, **({"ours": system.lost} if system.lost else {})}.items():
+        samples.lose((name, load, "15hz"), why)
+    late = {name: _p50_p99([t / 1000.0 for t in ns]) for name, (_, ns, _) in found.items() if ns}
+    samples.extra.setdefault(load, {}).update(extra, timer_late_us=late)
+
+
+def _check_load(load: Load, system: Deployment) -> None:
+    """Raises `Lost` if the language model died under its own load: what else is measured then is not under it."""
+    if load == "llm" and system.lost_process == "llm":
+        raise Lost(f"load llm: {system.lost}")
 
 
 def _with_inference(took: list[int], inferred: list[int]) -> list[int]:
@@ -379,18 +177,26 @@ def _with_inference(took: list[int], inferred: list[int]) -> list[int]:
 
 
 def _next_tick_ns(system: Deployment) -> int:
+    """When the simulator's next tick was stamped, or now if there is no simulator any more."""
     before = system.newest
-    while system.newest is before:
-        system.step()
-        time.sleep(0.002)
+    try:
+        system.until(lambda: system.newest is not before, "a tick")
+    except Lost:
+        return time.monotonic_ns()
     assert system.newest is not None
     return system.newest.stamp_ns
 
 
 def _read_traces(folder: Path, load: Load, first: int, ends: int, samples: Samples) -> None:
-    """From the nodes' own stamps: the round trips, their parts and the ages of what was applied."""
-    sim = np.fromfile(folder / "sim.trace", np.int64).reshape(-1, 6)
-    fast = {(row[0], row[1]): row for row in np.fromfile(folder / "fast.trace", np.int64).reshape(-1, 9).tolist()}
+    """From the nodes' own stamps: the round trips, their parts and the ages of what was applied.
+
+    Raises `Lost` if there are none.
+    """
+    try:
+        sim = np.fromfile(folder / "sim.trace", np.int64).reshape(-1, 6)
+        fast = {(row[0], row[1]): row for row in np.fromfile(folder / "fast.trace", np.int64).reshape(-1, 9).tolist()}
+    except OSError as error:
+        raise Lost(f"no stamps in {error.filename}: its node did not end in time") from None
     published = {(epoch, tick): at for epoch, tick, at, *_ in sim.tolist()}
     took: list[int] = []
     ages: list[float] = []
@@ -411,34 +217,49 @@ def _read_traces(folder: Path, load: Load, first: int, ends: int, samples: Sampl
                                     stepped - decoded - mask - features - policy, put - stepped,
                                     sent + answered - put), strict=True):
             parts[name].append(ns / 1000.0)
+    if not took:
+        raise Lost("the simulator did not tick")
     samples.add(("ours", load, "15hz"), took, skipped)
     samples.parts[load] = parts
-    samples.extra[load] = {"applied_age_us": _p50_p99(ages), "skipped_ticks": skipped}
+    samples.extra.setdefault(load, {}).update(applied_age_us=_p50_p99(ages), skipped_ticks=skipped)
 
 
-def _back_to_back(options: Options, load: Load, folder: Path, samples: Samples, sizes: tuple[int, int],
-                  seen: bytes) -> None:
-    """The back-to-back half of one load: the contenders take turns."""
+def _back_to_back(options: Options, load: Load, folder: Path, samples: Samples) -> None:
+    """The back-to-back half of one load: the contenders take turns. Raises `Lost` if the load itself is lost."""
     rounds = max(TURN, min(20_000, round(options.seconds * 50)) // TURN * TURN)
     without = ("sim", "slow") if load == "llm" else ("sim", "slow", "llm")
+    found: dict[str, list[int]] = {}
     with ExitStack() as stack:
         system = stack.enter_context(Deployment(folder, options.realtime, *without, trace=False))
-        system.ready()
-        peers = stack.enter_context(Peers(folder, options.peers, *sizes, options.realtime))
-        peers.join_ours(system, seen)
-        stack.enter_context(_load(load, system, folder))
+        try:
+            system.ready()
+        except Lost:
+            _check_load(load, system)
+        peers = stack.enter_context(Peers(folder, options.peers, *samples.sizes, options.realtime))
+        if system.lost or not samples.seen:
+            peers.lose("ours", system.lost or "no observation to replay")
+        else:
+            peers.join_ours(system, samples.seen)
+        stack.enter_context(loaded(load, system.model, folder, system.step))
         say(f"bench: load {load}: back to back, {rounds} rounds each")
         for _ in range(rounds // TURN):
-            for name, orders in peers.orders.items():
-                orders.send(("rounds", TURN))
-                while not orders.poll(0.02):
-                    system.step()
-                took, _, inferred = orders.recv()
-                samples.add((name, load, "back-to-back"), _with_inference(took, inferred))
+            for name in peers.names:
+                peers.order(name, "rounds", TURN)
+                if (reply := peers.reply(name, system.step)) is not None:
+                    found.setdefault(name, []).extend(_with_inference(reply[0], reply[2]))
+        _check_load(load, system)
+    for name, why in peers.lost.items():
+        samples.lose((name, load, "back-to-back"), why)
+    for name, took in found.items():
+        if name not in peers.lost:
+            samples.add((name, load, "back-to-back"), took)
 
 
 def first_actions(folder: Path, seen: bytes) -> dict[str, object]:
-    """Start the fast node again and again, alone: seconds from the process's start to its first action, and its RSS."""
+    """Start the fast node again and again, alone: seconds from the process's start to its first action, and its RSS.
+
+    Raises `Lost` if it gives none.
+    """
     seconds: list[float] = []
     memory: float | None = None
     for _ in range(STARTS):
@@ -446,18 +267,18 @@ def first_actions(folder: Path, seen: bytes) -> dict[str, object]:
         near, fast = (f"unixsock-stream/{sockets / name}.sock" for name in ("near", "fast"))
         config = json.dumps({"bus": {"listen": [fast], "low_latency": True}})
         try:
-            with (_processes(folder / "starts.log") as start,
+            with (children() as start,
                   open_bus(BusConfig(listen=(near,), connect=(fast,), low_latency=True)) as bus):
                 actions = bus.subscribe_bytes(topics.ACTION)
                 began = time.monotonic()
-                process = start(sys.executable, "-m", "fast_node", config)
+                node = start("fast node", folder / "starts.log", sys.executable, "-m", "fast_node", config)
                 while not actions.take():
-                    if process.poll() is not None or time.monotonic() - began > 30.0:
-                        raise ConfigError(f"the fast node gives no action; see {folder}/starts.log")
+                    if (why := node.trouble()) or time.monotonic() - began > PATIENCE_S:
+                        raise Lost(why or f"the fast node gave no action for {PATIENCE_S:g} s{node.last_line()}")
                     bus.publish_bytes(topics.OBSERVATION, seen)
                     time.sleep(0.002)
                 seconds.append(time.monotonic() - began)
-                memory = rss_mb(process.pid)
+                memory = rss_mb(node.popen.pid)
         finally:
             shutil.rmtree(sockets, ignore_errors=True)
     return {"first_action_s": round(float(np.median(seconds)), 3), "starts": STARTS, "rss_mb": memory}
@@ -511,24 +332,37 @@ def targets(rows: Sequence[figures.Row], fast: dict[str, object], realtime: Mode
             check("paced p99, ours / floor", ours.p99_us / floor.p99_us, 1.5)
         check("paced p99, ours [ms]", ours.p99_us / 1000.0, 1.2)
         for load in ("cpu", "llm"):
-            loaded = by.get(("ours", load, "15hz"))
-            if loaded is not None:
+            busy = by.get(("ours", load, "15hz"))
+            if busy is not None:
                 limit = 1.25 if resolve(realtime) == "fifo" else 2.0
-                check(f"paced p99, load {load} / none", loaded.p99_us / ours.p99_us, limit)
-                check(f"missed deadlines, load {load}", float(loaded.misses), 0.0)
+                check(f"paced p99, load {load} / none", busy.p99_us / ours.p99_us, limit)
         for pace in ("15hz", "back-to-back"):
             dora = by.get(("dora", "none", pace))
             for what in ("bus", "ours"):
                 mine = by.get((what, "none", pace))
                 if dora is not None and mine is not None:
                     check(f"p50 {pace}, dora / {what}", dora.p50_us / mine.p50_us, 4.0, at_least=True)
-    check("fast node, start to first action [s]", cast("float | None", fast["first_action_s"]), 0.5)
-    check("fast node, resident memory [MB]", cast("float | None", fast["rss_mb"]), 100.0)
+    for load in LOADS:
+        paced = by.get(("ours", load, "15hz"))
+        if paced is not None:
+            check(f"missed deadlines of {paced.n} ticks, load {load}", float(paced.misses), 0.0)
+    check("fast node, start to first action [s]", cast("float | None", fast.get("first_action_s")), 0.5)
+    check("fast node, resident memory [MB]", cast("float | None", fast.get("rss_mb")), 100.0)
     return found
 
 
+def wake_ups(rows: Sequence[figures.Row]) -> dict[str, float]:
+    """By load: what the bare bus takes longer at 15 Hz than back to back [us, p50], two wake-ups on each side of it.
+
+    A thread's wake-up has no stamp of its own; within ours it is part of `bus out` and `bus back`.
+    """
+    bus = {(row.load, row.pace): row.p50_us for row in rows if row.what == "bus"}
+    return {load: round(bus[load, "15hz"] - bus[load, "back-to-back"], 1) for load in LOADS
+            if {(load, "15hz"), (load, "back-to-back")} <= bus.keys()}
+
+
 def run(options: Options) -> tuple[dict[str, Any], Path]:
-    """Measure, save and return the result and where it is. Raises `ConfigError` if something needed is missing."""
+    """Measure, save and return the result and where it is. What could not be measured is in its `absent`."""
     folder = options.out or Path("runs") / f"bench-{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{os.getpid()}"
     folder.mkdir(parents=True, exist_ok=True)
     options = replace(options, peers=available(options.peers))
@@ -539,18 +373,28 @@ def run(options: Options) -> tuple[dict[str, Any], Path]:
     fast: dict[str, object] = {}
     for load in options.loads:
         say(f"bench: load {load}: 15 Hz, {options.seconds:g} s")
-        sent, answered, seen = _paced(options, load, folder, samples)
-        if not fast:
-            fast = first_actions(folder, seen)
-        _back_to_back(options, load, folder, samples, (sent, answered), seen)
+        for pace, measure in (("15hz", _paced), ("back-to-back", _back_to_back)):
+            try:
+                measure(options, load, folder, samples)
+            except Lost as lost:
+                for what in (*options.peers, "ours"):
+                    samples.lose((what, load, pace), str(lost))
+        if samples.seen and not fast:
+            try:
+                fast = first_actions(folder, samples.seen)
+            except Lost as lost:
+                samples.lose(("ours", load, "start"), str(lost))
     rows = [figures.row_of(*key, took, samples.skipped[key]) for key, took in sorted(
         samples.took.items(), key=lambda item: (LOADS.index(cast(Load, item[0][1])), item[0][2], item[0][0]))]
     result: dict[str, Any] = {
         "schema": figures.SCHEMA,
-        "host": {**machine, "payload_bytes": {"observation": sent, "action": answered}},
+        "host": {**machine, "payload_bytes": dict(zip(("observation", "action"), samples.sizes, strict=True))},
         "rows": [msgspec.to_builtins(row) for row in rows],
+        "absent": [{"what": what, "load": load, "pace": pace, "why": why}
+                   for (what, load, pace), why in samples.absent.items()],
         "parts_us": {load: {name: _p50_p99(values) for name, values in parts.items()}
                      for load, parts in samples.parts.items()},
+        "wake_up_us": wake_ups(rows),
         "loads": samples.extra,
         "fast_node": fast,
         "targets": targets(rows, fast, options.realtime),
@@ -569,11 +413,15 @@ def lines(result: dict[str, Any]) -> Iterator[str]:
            f"load average {machine['load_average'][0]:g} at the start")
     yield ", ".join(f"{name} {number}" for name, number in machine["versions"].items() if number)
     yield from figures.table(result["rows"], result["histograms"])
+    for row in result["absent"]:
+        yield f"{row['load']:<5} {row['pace']:<13} {row['what']:<12} absent: {row['why']}"
     for load, parts in result["parts_us"].items():
         yield f"parts of ours, load {load}, p50/p99 us: " + ", ".join(
             f"{name} {p['p50']:.0f}/{p['p99']:.0f}" for name, p in parts.items())
         yield f"  age of the observation that each applied action answers, p50/p99 us: " \
               f"{result['loads'][load]['applied_age_us']['p50']:.0f}/{result['loads'][load]['applied_age_us']['p99']:.0f}"
+    for load, us in result["wake_up_us"].items():
+        yield f"wake-ups, load {load}, p50: {us:.0f} us of a round trip of the bare bus (paced less back to back)"
     for target in result["targets"]:
         yield f"{'reached' if target['reached'] else 'MISSED ':<8} {target['figure']}: {target['value']:g} " \
               f"(limit {target['limit']:g})"

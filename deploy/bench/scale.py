@@ -1,13 +1,24 @@
-"""`fastslow bench scale`: how the cost of a tick grows with vehicles, egos, loops on one machine and message size."""
+"""`fastslow bench scale`: how a tick's cost grows with vehicles, egos, simulators and message size; what breaks.
+
+* vehicles: observations with so many vehicles to the real fast node, back to back, with the parts of its tick; and its
+  step alone in this process, which goes on where the message no longer fits. A crowd stands still around the ego.
+* egos: what one process needs to answer so many at once: decode, step and encode each, one inference for all. In this
+  process and without the bus, since the deployed fast node serves one ego.
+* simulators: real simulators at 15 Hz, each with a real fast node, on one machine. Every pair has sockets of its own,
+  since a bus has one ego. They start when they are ready, so their phases are what they happen to be.
+* message_bytes: bare round trips over the low-latency link, far beyond what our topics allow.
+"""
 
 from __future__ import annotations
 
 import json
+import os
+import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from datetime import UTC, datetime
-from os import getpid
 from pathlib import Path
 from typing import Any
 
@@ -15,168 +26,294 @@ import msgspec
 import numpy as np
 
 from deploy.bench import figures
-from deploy.bench.latency import PERIOD_NS, Deployment, Peers, host, say
+from deploy.bench.contenders import START_S, Child, Deployment, Lost, Peers, children, say
+from deploy.bench.latency import PERIOD_NS, host
 from schemas import topics
 from schemas.codec import Fault, decode, encode, rows_of
 from schemas.messages import Observation
-from schemas.process import ConfigError
-from schemas.realtime import Mode
+from schemas.realtime import Mode, resolve
 
-SCHEMA = "fastslow.scale/1"
+SCHEMA = "fastslow.scale/2"
 VEHICLES = (5, 10, 20, 40, 60, 80, 100, 150, 200)
-EGOS = (1, 2, 4, 8, 16, 32, 64, 128, 256)
-LOOPS = (1, 2, 4, 8, 16)
-SIZES = (128, 512, 1024, 2048, 3072, 8192, 16_384, 32_768, 49_152, 65_536, 98_304)
+EGOS = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512)
+PAIRS = (1, 2, 4, 8, 16, 32, 48, 64)
+SIZES = (128, 512, 1024, 2048, 3072, 8192, 16_384, 32_768, 49_152, 57_344, 65_536, 98_304)
+PARTS = ("decode", "mask", "features", "policy", "rest of the step", "encode and put")
+SETTLE_S = 1.0
 SILENCE_S = 3.0
 """A payload that has not arrived after this long has been lost."""
+Point = dict[str, Any]
 
 
 def crowd(seen: Observation, vehicles: int) -> Observation:
-    """An observation of the same road with this many vehicles, the ego among them."""
+    """An observation of the same road with this many vehicles, the ego among them, as epoch `vehicles`."""
     ego = rows_of(seen)[:1]
     rows = np.repeat(ego, vehicles, axis=0)
     others = np.arange(1, vehicles)
     rows[1:, 0] = others
     rows[1:, 1] += np.where(others % 2, 1, -1) * (12.0 + 8.0 * (others // 2))
-    return msgspec.structs.replace(seen, rows=rows.tobytes())
+    return msgspec.structs.replace(seen, rows=rows.tobytes(), epoch=vehicles)
 
 
-def _point(x: int, took_ns: list[int], **more: object) -> dict[str, Any]:
+def _point(x: int, took_ns: Sequence[int], **more: object) -> Point:
     p50, p99 = (round(float(p) / 1000.0, 1) for p in np.percentile(took_ns, (50, 99)))
     return {"x": x, "n": len(took_ns), "p50_us": p50, "p99_us": p99, **more}
 
 
-def vehicles(folder: Path, realtime: Mode, rounds: int) -> tuple[list[dict[str, Any]], Observation]:
-    """Back-to-back round trips of the real fast node by vehicles observed, and an observation of the real simulator."""
+def observed(folder: Path, realtime: Mode) -> Observation:
+    """What the real simulator publishes. Raises `Lost`."""
     with Deployment(folder, realtime, "slow", "llm", trace=False) as system:
         system.ready()
-        while system.newest is None:
-            system.step()
-            time.sleep(0.02)
-        seen = system.newest
-    points: list[dict[str, Any]] = []
+        system.until(lambda: system.newest is not None, "the first tick")
+        assert system.newest is not None
+        return system.newest
+
+
+def vehicles(folder: Path, realtime: Mode, rounds: int, seen: Observation) -> list[Point]:
+    """By vehicles observed: message size, the step alone, and while it fits the round trip with its parts."""
+    points: list[Point] = []
     with ExitStack() as stack:
-        system = stack.enter_context(Deployment(folder, realtime, "sim", "slow", "llm", trace=False))
+        system = stack.enter_context(Deployment(folder, realtime, "sim", "slow", "llm", trace=True))
         system.ready()
         peers = stack.enter_context(Peers(folder, (), 0, 0, realtime))
         peers.join_ours(system, encode(seen))
-        orders = peers.orders["ours"]
-        for n in VEHICLES:
+        for n in sorted({*VEHICLES, _most_vehicles(seen)}):
+            observation = crowd(seen, n)
+            about = {"bytes": len(msgspec.msgpack.encode(observation)), "step_us": _step_us(observation)}
             try:
-                payload = encode(crowd(seen, n))
+                peers.order("ours", "observe", encode(observation))
             except Fault as fault:
-                points.append({"x": n, "breaks": str(fault)})
+                points.append({"x": n, "breaks": str(fault), **about})
                 continue
-            orders.send(("observe", payload))
-            orders.send(("rounds", rounds))
-            while not orders.poll(0.02):
-                system.step()
-            points.append(_point(n, orders.recv()[0], bytes=len(payload)))
-    return points, seen
+            peers.order("ours", "rounds", rounds)
+            reply = peers.reply("ours", system.step)
+            if reply is None:
+                raise Lost(peers.lost["ours"])
+            points.append(_point(n, reply[0], **about))
+    stamps = np.fromfile(folder / "fast.trace", np.int64).reshape(-1, 9)
+    for point in points:
+        rows = stamps[stamps[:, 0] == point["x"]]
+        if len(rows):
+            point["parts_us"] = _parts_us(rows)
+    return points
+
+
+def _most_vehicles(seen: Observation) -> int:
+    """How many fit in a message."""
+    most = max(VEHICLES)
+    while len(msgspec.msgpack.encode(crowd(seen, most))) > topics.MAX_MESSAGE_BYTES:
+        most -= 1
+    return most
+
+
+def _parts_us(rows: Any) -> dict[str, float]:
+    """Medians [us] from the fast node's own stamps."""
+    arrived, decoded, mask, features, policy, stepped, put = rows[:, 2:].T
+    parts = (decoded - arrived, mask, features, policy, stepped - decoded - mask - features - policy, put - stepped)
+    return {name: round(float(np.median(ns)) / 1000.0, 1) for name, ns in zip(PARTS, parts, strict=True)}
+
+
+def _step_us(observation: Observation, rounds: int = 200) -> float:
+    """Median time of the fast node's step in this process: mask, features, policy, choice [us]."""
+    from fast_node.config import FastConfig
+    from fast_node.node import FastNode
+    from fast_node.policy import load_policy
+
+    node, took = FastNode(FastConfig(), load_policy()), []
+    for _ in range(rounds):
+        start = time.monotonic_ns()
+        node.step(observation, None, start)
+        took.append(time.monotonic_ns() - start)
+    return round(float(np.median(took)) / 1000.0, 1)
 
 
 class _Prepared:
     """A policy whose answer is known already; keeps what it was asked."""
 
-    def __init__(self, policy: Any) -> None:
-        self.weights, self.sidecar = policy.weights, policy.sidecar
+    def __init__(self) -> None:
         self.asked: Any = None
-        self.answer: Any = None
+        self.answer: Any = np.zeros(5, np.float32)
 
     def logits(self, x: Any) -> Any:
         self.asked = x
         return self.answer
 
 
-def egos(seen: Observation, rounds: int) -> list[dict[str, Any]]:
-    """What one process needs to answer so many egos: decode, step and encode each, with one inference for all.
+def egos(seen: Observation, rounds: int) -> list[Point]:
+    """By egos answered at once, up to the largest number whose p99 holds the deadline, within 5 %."""
+    points: list[Point] = []
+    for n in EGOS:
+        points.append(_egos(seen, n, rounds))
+        if broken(points[-1]):
+            break
+    else:
+        return points
+    holds, breaks = (points[-2]["x"] if len(points) > 1 else 0), points[-1]["x"]
+    while breaks - holds > max(1, breaks // 20):
+        points.append(_egos(seen, (holds + breaks) // 2, rounds))
+        if broken(points[-1]):
+            breaks = points[-1]["x"]
+        else:
+            holds = points[-1]["x"]
+    return sorted(points, key=lambda point: int(point["x"]))
 
-    In this process and without the bus: the deployed fast node serves one ego. Ends where p99 exceeds the deadline.
-    """
+
+def _egos(seen: Observation, n: int, rounds: int) -> Point:
     from fast_node.config import FastConfig
     from fast_node.node import FastNode
     from fast_node.policy import load_policy
 
     policy, payload = load_policy(), encode(seen)
-    points: list[dict[str, Any]] = []
-    for n in EGOS:
-        prepared = [_Prepared(policy) for _ in range(n)]
-        nodes = [FastNode(FastConfig(), one) for one in prepared]  # type: ignore[arg-type]
-        took: list[int] = []
-        for k in range(max(100, rounds // n) + 5):
-            start = time.monotonic_ns()
-            if k:
-                for one, answer in zip(prepared, policy.logits(np.stack([p.asked for p in prepared])), strict=True):
-                    one.answer = answer
-            for node, one in zip(nodes, prepared, strict=True):
-                action, _ = node.step(decode(topics.OBSERVATION, payload), None, start)
-                encode(action)
-                if one.asked is None:
-                    raise ConfigError("the fast node does not ask its policy for logits")
-            took.append(time.monotonic_ns() - start)
-        points.append(_point(n, took[5:]))
-        if points[-1]["p99_us"] > figures.DEADLINE_US:
+    asked = [_Prepared() for _ in range(n)]
+    nodes = [FastNode(FastConfig(), one) for one in asked]  # type: ignore[arg-type]
+    took: list[int] = []
+    for k in range(max(200, rounds // n) + 5):
+        start = time.monotonic_ns()
+        if k:
+            for one, answer in zip(asked, policy.logits(np.stack([p.asked for p in asked])), strict=True):
+                one.answer = answer
+        for node in nodes:
+            encode(node.step(decode(topics.OBSERVATION, payload), None, start)[0])
+        took.append(time.monotonic_ns() - start)
+    return _point(n, took[5:])
+
+
+def simulators(folder: Path, realtime: Mode, seconds: float) -> list[Point]:
+    """By pairs of simulator and fast node on this machine, up to the first number that breaks."""
+    points: list[Point] = []
+    for pairs in PAIRS:
+        try:
+            points.append(_pairs(folder, realtime, seconds, pairs))
+        except Lost as lost:
+            points.append({"x": pairs, "breaks": str(lost)})
+        if broken(points[-1]):
             break
     return points
 
 
-def loops(folder: Path, realtime: Mode, seconds: float) -> list[dict[str, Any]]:
-    """Round trips of the bare bus at 15 Hz, with so many pairs of processes on this machine, evenly out of phase."""
-    points: list[dict[str, Any]] = []
-    n = round(seconds * 15)
-    for pairs in LOOPS:
-        with ExitStack() as stack:
-            ends = [stack.enter_context(Peers(folder, ("bus",), 1024, 256, realtime)).orders["bus"]
-                    for _ in range(pairs)]
-            first = time.monotonic_ns() + 200_000_000
-            for i, orders in enumerate(ends):
-                orders.send(("paced", first + i * PERIOD_NS // pairs, PERIOD_NS, n))
-            points.append(_point(pairs, [ns for orders in ends for ns in orders.recv()[0]]))
-    return points
+def _pairs(folder: Path, realtime: Mode, seconds: float, pairs: int) -> Point:
+    took: list[int] = []
+    skipped = 0
+    with tempfile.TemporaryDirectory(prefix="fastslow-") as sockets:
+        with children() as start:
+            def node(module: str, i: int, other: str | None, **config: object) -> Child:
+                at = f"unixsock-stream/{sockets}/{module}-{i}.sock"
+                bus = {"listen": [at], "connect": [f"unixsock-stream/{sockets}/{other}-{i}.sock"] if other else [],
+                       "low_latency": True}
+                return start(f"{module} {i}", folder / f"{module}-{i}.log", sys.executable, "-m", module,
+                             json.dumps({"bus": bus, "realtime": resolve(realtime), **config}))
+
+            nodes = [node("fast_node", i, None) for i in range(pairs)]
+            _ready(nodes)
+            nodes += [node("sim_node", i, "fast_node", seed=i, trace=f"{sockets}/{i}.trace") for i in range(pairs)]
+            _ready(nodes)
+            time.sleep(SETTLE_S)
+            idle_s, first = _idle_s(), time.monotonic_ns()
+            time.sleep(seconds)
+            ends = time.monotonic_ns()
+            idle_s = _idle_s() - idle_s
+            _ready(nodes)
+        for i in range(pairs):
+            one, late = _round_trips(Path(sockets) / f"{i}.trace", first, ends)
+            took, skipped = took + one, skipped + late
+    late = sum(ns > 1000 * figures.DEADLINE_US for ns in took)
+    busy = round(1.0 - idle_s / (seconds * (os.cpu_count() or 1)), 2)
+    return _point(pairs, took, misses=late + skipped, cores_busy=busy)
 
 
-def sizes(folder: Path, realtime: Mode, rounds: int) -> list[dict[str, Any]]:
-    """Back-to-back round trips of the bare bus by message size, far beyond what our topics allow."""
-    points: list[dict[str, Any]] = []
+def _ready(nodes: Sequence[Child]) -> None:
+    """Wait until all have said so. Raises `Lost` if one has ended or does not."""
+    limit_s = START_S + 2.0 * len(nodes)  # they all start at once, on few cores
+    deadline = time.monotonic() + limit_s
+    waiting = list(nodes)
+    while waiting:
+        if why := next(filter(None, (node.trouble() for node in nodes)), ""):
+            raise Lost(why)
+        if time.monotonic() > deadline:
+            raise Lost(f"{waiting[0].name} is not ready after {limit_s:g} s{waiting[0].last_line()}")
+        waiting = [node for node in waiting if b'"ready"' not in node.log.read_bytes()]
+        time.sleep(0.05)
+
+
+def _round_trips(trace: Path, first: int, ends: int) -> tuple[list[int], int]:
+    """Round trips [ns] of the ticks published within first..ends, a whole period if unanswered, and skipped ticks."""
+    try:
+        sent, answered, after = np.fromfile(trace, np.int64).reshape(-1, 6).T[2:5]
+    except OSError:
+        raise Lost("a simulator did not end in time, its stamps are missing") from None
+    within = (first <= sent) & (sent < ends)
+    took = np.where(answered >= 0, answered, np.maximum(PERIOD_NS, after - sent))[within]
+    skipped = np.rint((after - sent)[within] / PERIOD_NS).astype(int) - 1
+    return took.tolist(), int(skipped.clip(0).sum())
+
+
+def _idle_s() -> float:
+    """What all cores together have idled since the machine's start (Linux; elsewhere 0)."""
+    try:
+        fields = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()
+    except OSError:
+        return 0.0
+    return (int(fields[4]) + int(fields[5])) / os.sysconf("SC_CLK_TCK")
+
+
+def sizes(folder: Path, realtime: Mode, rounds: int) -> list[Point]:
+    """By message size, up to the first that gets lost."""
+    points: list[Point] = []
     for size in SIZES:
-        try:
-            with Peers(folder, ("bus",), size, 128, realtime, patience_s=SILENCE_S) as peers:
-                peers.orders["bus"].send(("rounds", rounds))
-                points.append(_point(size, peers.orders["bus"].recv()[0]))
-        except ConfigError:
-            points.append({"x": size, "breaks": "lost without an error: the low-latency transport does not fragment"})
+        with Peers(folder, ("bus",), size, 128, realtime, patience_s=SILENCE_S) as peers:
+            reply = None
+            if "bus" in peers.names:
+                peers.order("bus", "rounds", rounds)
+                reply = peers.reply("bus")
+        if reply is None:
+            why = peers.lost["bus"]
+            lost = "lost without an error: the low-latency transport does not fragment"
+            points.append({"x": size, "breaks": lost if "did not answer" in why else why})
+            break
+        points.append(_point(size, reply[0]))
     return points
 
 
-def knee(points: list[dict[str, Any]]) -> dict[str, Any]:
-    """The last point that still works with p99 within the deadline, and what is wrong with the first that does not."""
-    held: int | None = None
+def broken(point: Point) -> str:
+    """What is wrong with a point; empty if p99 holds the deadline and nothing is missed."""
+    if "breaks" in point:
+        return str(point["breaks"])
+    if point["p99_us"] > figures.DEADLINE_US:
+        return f"p99 of {point['p99_us'] / 1000.0:.1f} ms exceeds the deadline"
+    return f"{point['misses']} of {point['n']} ticks missed" if point.get("misses") else ""
+
+
+def knee(points: Sequence[Point]) -> dict[str, Any]:
+    """The last point that holds, the first that does not, and what is wrong with that one."""
+    holds: int | None = None
     for point in points:
-        if "breaks" in point:
-            return {"holds": held, "then": point["breaks"]}
-        if point["p99_us"] > figures.DEADLINE_US:
-            return {"holds": held, "then": f"p99 of {point['p99_us'] / 1000.0:.1f} ms exceeds the deadline"}
-        held = point["x"]
-    return {"holds": held, "then": "nothing broke in this range"}
+        if why := broken(point):
+            return {"holds": holds, "breaks_at": point["x"], "then": why}
+        holds = point["x"]
+    return {"holds": holds, "breaks_at": None, "then": "nothing broke in this range"}
 
 
 def run(realtime: Mode, rounds: int, seconds: float, out: Path | None) -> tuple[dict[str, Any], Path]:
-    """Measure, save and return the curves and where they are. Raises `ConfigError` if something does not start."""
-    folder = out or Path("runs") / f"scale-{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{getpid()}"
+    """Measure, save and return the curves and where they are. Raises `ConfigError` or `Lost` if nothing starts."""
+    folder = out or Path("runs") / f"scale-{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{os.getpid()}"
     folder.mkdir(parents=True, exist_ok=True)
     machine = host(realtime)
-    say("bench: vehicles observed")
-    by_vehicles, seen = vehicles(folder, realtime, rounds)
-    parts: list[tuple[str, str, Callable[[], list[dict[str, Any]]]]] = [
+    seen = observed(folder, realtime)
+    parts: list[tuple[str, str, Callable[[], list[Point]]]] = [
+        ("vehicles", "vehicles observed", lambda: vehicles(folder, realtime, rounds, seen)),
         ("egos", "egos answered by one process", lambda: egos(seen, rounds)),
-        ("loops", "15 Hz loops on this machine", lambda: loops(folder, realtime, seconds)),
+        ("simulators", "simulators, each with its fast node, at 15 Hz", lambda: simulators(folder, realtime, seconds)),
         ("message_bytes", "message size", lambda: sizes(folder, realtime, rounds)),
     ]
-    curves = {"vehicles": by_vehicles}
+    curves: dict[str, list[Point]] = {}
     for name, title, measure in parts:
         say(f"bench: {title}")
-        curves[name] = measure()
-    result = {"schema": SCHEMA, "host": machine,
+        try:
+            curves[name] = measure()
+        except Lost as lost:
+            say(f"bench: without {name}: {lost}")
+            curves[name] = []
+    result = {"schema": SCHEMA, "host": machine, "codec_limit_bytes": topics.MAX_MESSAGE_BYTES,
               "curves": {name: {"points": points, "knee": knee(points)} for name, points in curves.items()}}
     path = folder / "scale.json"
     path.write_text(json.dumps(result) + "\n", encoding="utf-8")
@@ -188,8 +325,42 @@ def lines(result: dict[str, Any]) -> Iterator[str]:
     for name, curve in result["curves"].items():
         yield f"{name:>13} {'n':>7} {'p50':>9} {'p99':>9}   (us)"
         for point in curve["points"]:
-            if "breaks" in point:
-                yield f"{point['x']:>13} {point['breaks']}"
-            else:
-                yield f"{point['x']:>13} {point['n']:>7} {point['p50_us']:>9.0f} {point['p99_us']:>9.0f}"
+            times = f"{point['n']:>7} {point['p50_us']:>9.0f} {point['p99_us']:>9.0f}" if "n" in point else " " * 27
+            yield f"{point['x']:>13} {times}   {_remarks(point)}".rstrip()
         yield f"  holds up to {curve['knee']['holds']}; {curve['knee']['then']}"
+    yield f"the codec refuses more than {result['codec_limit_bytes']} bytes on our topics"
+
+
+def _remarks(point: Point) -> str:
+    said = [f"{point['bytes']} bytes, step alone {point['step_us']:.0f}"] if "bytes" in point else []
+    said += [f"{name} {us:.0f}" for name, us in point.get("parts_us", {}).items()]
+    if "misses" in point:
+        said.append(f"misses {point['misses']}, cores {100 * point['cores_busy']:.0f} % busy")
+    if "breaks" in point:
+        said.append(point["breaks"])
+    return ", ".join(said)
+
+
+def plot(result: dict[str, Any], path: Path) -> None:
+    """The curves as a picture: p50 and p99 over each quantity, on logarithmic axes, with the knee."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(1, len(result["curves"]), figsize=(4 * len(result["curves"]), 3.6), sharey=True)
+    for axis, (name, curve) in zip(axes, result["curves"].items(), strict=True):
+        measured = [point for point in curve["points"] if "n" in point]
+        for figure_name in ("p50_us", "p99_us"):
+            axis.plot([p["x"] for p in measured], [p[figure_name] / 1000.0 for p in measured], "o-", markersize=3,
+                      label=figure_name[:3])
+        if curve["knee"]["breaks_at"] is not None:
+            axis.axvline(curve["knee"]["breaks_at"], color="red", linestyle="--", label="breaks")
+        axis.axhline(figures.DEADLINE_US / 1000.0, color="grey", linestyle=":")
+        axis.set(xscale="log", yscale="log", xlabel=name.replace("_", " "))
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("time [ms]")
+    axes[0].legend()
+    figure.tight_layout()
+    figure.savefig(path, dpi=120)
+    pyplot.close(figure)

@@ -20,18 +20,11 @@ With `load`, the embedded language model answers without pause on the same machi
 from __future__ import annotations
 
 import importlib.util
-import json
-import socket
-import subprocess
-import sys
-import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -147,47 +140,30 @@ class _Training:
 
 
 @contextmanager
-def loaded(load: str, folder: Path) -> Iterator[None]:
+def _loaded(load: str) -> Iterator[None]:
     """Keep the embedded language model answering for the time of the block; "none": nothing.
 
-    Raises ConfigError where the model cannot be started.
+    Raises ConfigError where the model does not start.
     """
     if load == "none":
         yield
         return
-    import httpx
+    from deploy.bench.contenders import Lost, asking
+    from deploy.interpret import embedded_server
+    from deploy.processes import Model, free_port
 
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    log = (folder / "llm.log").open("w")
-    model = subprocess.Popen([sys.executable, "-m", "slow_node.embedded", json.dumps({"port": port})], stderr=log)
-    stop = threading.Event()
-    body = {"max_tokens": 64, "messages": [{"role": "user", "content": "Tell me how to drive on a country road."}]}
-
-    def ask() -> None:
-        with httpx.Client(base_url=f"http://127.0.0.1:{port}/v1", timeout=120.0, trust_env=False) as client:
-            while not stop.is_set():
-                try:
-                    client.post("/chat/completions", json=body)
-                    answered.set()
-                except httpx.HTTPError:
-                    stop.wait(0.5)
-
-    answered = threading.Event()
-    asker = threading.Thread(target=ask, daemon=True)
-    asker.start()
+    port = free_port()
+    server = embedded_server(port, 1, polite=True)
+    if server is None:
+        raise ConfigError("the embedded language model did not start: `fastslow doctor` says what is missing")
     try:
-        while not answered.wait(0.5):
-            if model.poll() is not None:
-                raise ConfigError(f"the language model did not start: see {folder}/llm.log")
-        yield
+        with asking(Model(base_url=f"http://127.0.0.1:{port}/v1", name="embedded", embedded=True, port=port), {}):
+            yield
+    except Lost as lost:
+        raise ConfigError(str(lost)) from None
     finally:
-        stop.set()
-        model.kill()
-        model.wait()
-        asker.join(5.0)
-        log.close()
+        server.kill()
+        server.wait()
 
 
 @dataclass
@@ -262,7 +238,7 @@ def bench_sim(
     if wrong := [hz for hz in policy_hz if hz < 1 or HZ % hz]:
         raise ValueError(f"policy_hz {wrong[0]} does not divide {HZ}")
     rows = []
-    with tempfile.TemporaryDirectory() as folder, loaded(load, Path(folder)):
+    with _loaded(load):
         for count in vehicles:
             differences = _differences(count, chosen)
             here = tuple(n for n in chosen if n != "training" or count == min(vehicles))

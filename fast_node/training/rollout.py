@@ -47,7 +47,8 @@ def _compiled_mask() -> Any:
     copy = _copy_of(mask)
     for name in ("gap_m", "rss_same_direction_m", "rss_opposite_m"):
         setattr(copy, name, numba.njit(getattr(measures, name)))
-    for name in ("allowed_speed", "follower_gap", "pass_time_s", "survey", "entry", "ahead_of", "passing"):
+    for name in ("allowed_speed", "follower_gap", "pass_time_s", "half_width", "survey", "entry", "ahead_of",
+                 "passing"):
         setattr(copy, name, numba.njit(getattr(copy, name)))
     return numba.njit(copy.close_actions)
 
@@ -55,22 +56,25 @@ def _compiled_mask() -> Any:
 _close = _compiled_mask()
 _wished_lane = numba.njit(wish.wished_lane)
 _choose = numba.njit(choice.choose)
-_invite = numba.njit(choice.invite)
+_narrow = numba.njit(choice.narrow)
 _ttc = numba.njit(measures.ttc_s)
 
 
 @numba.njit  # type: ignore[untyped-decorator]
 def _look_all(
-    rows: Any, lanes: Any, target_speed: Any, target_lane: Any, previous: Any, sight: float, told_lane: Any,
-    pass_id: Any, headway: Any, masked: bool, near: Any, rule: Any, vehicle: Any, wish_lane: Any, ttc: Any, short: Any,
+    rows: Any, lanes: Any, target_speed: Any, target_lane: Any, previous: Any, sight: float, preset: mask.Preset,
+    told_lane: Any, pass_id: Any, v_des: Any, headway: Any, masked: bool, near: Any, rule: Any, vehicle: Any,
+    wish_lane: Any, ttc: Any, short: Any,
 ) -> None:
     for s in range(rows.shape[0]):
-        _close(rows[s], lanes[s], target_speed[s], target_lane[s], previous[s], sight, near[s], rule[s], vehicle[s])
+        _close(rows[s], lanes[s], target_speed[s], target_lane[s], previous[s], sight, near[s], rule[s], vehicle[s],
+               preset)
         if not masked:
             rule[s] = mask.OPEN
         wish_lane[s] = told_lane[s] if pass_id[s] < 0 else _wished_lane(rows[s], told_lane[s], pass_id[s])
         if masked:
-            _invite(rule[s], lanes[s], target_lane[s], wish_lane[s])
+            _narrow(rule[s], rows[s], near[s], lanes[s], target_speed[s], target_lane[s], previous[s], wish_lane[s],
+                    v_des[s], headway[s])
         ttc[s] = TTC_CAP_S
         short[s] = 0.0
         ego = rows[s, 0]
@@ -102,12 +106,9 @@ def _observe_all(
 
 
 @numba.njit  # type: ignore[untyped-decorator]
-def _choose_all(
-    logits: Any, rule: Any, age: Any, lanes: Any, target_lane: Any, wish_lane: Any, meta: Any, by: Any
-) -> None:
+def _choose_all(logits: Any, rule: Any, age: Any, meta: Any, by: Any) -> None:
     for s in range(len(meta)):
-        meta[s], by[s] = _choose(logits[s], rule[s], age[s] < DECISION_TICKS, lanes[s, target_lane[s], 3],
-                                 target_lane[s], wish_lane[s])
+        meta[s], by[s] = _choose(logits[s], rule[s], age[s] < DECISION_TICKS)
 
 
 class World(Protocol):
@@ -145,6 +146,8 @@ class Task:
 class Fleet:
     """S scenes of one task: what each ego sees, is asked for and may do now. Not `masked`: anything, always."""
 
+    preset = mask.PRESETS["sim"]
+
     def __init__(self, world: World, task: Task, *, masked: bool = True) -> None:
         self.world, self.task, self.masked = world, task, masked
         s, n = len(world.rows), len(task.lanes)
@@ -164,8 +167,8 @@ class Fleet:
         self.lanes[:, :, 0] = w.lane_y
         self._rows[:] = w.rows
         _look_all(self._rows, self.lanes, w.target_speed, w.target_lane, w.previous_lane, self.task.sight_m,
-                  self.told_lane, self.pass_id, self.headway, self.masked, self._near, self.rule, self.vehicle,
-                  self.wish, self.ttc_s, self.short)
+                  self.preset, self.told_lane, self.pass_id, self.v_des, self.headway, self.masked, self._near,
+                  self.rule, self.vehicle, self.wish, self.ttc_s, self.short)
 
     def observe(self) -> Array:
         """Policy input (S, N, F) of what `look` saw last."""
@@ -186,8 +189,10 @@ class Fleet:
 class Scenes(Fleet):
     """A fleet with random directives, stepped one decision at a time: what the learner learns in."""
 
-    def __init__(self, world: World, task: Task, seed: int, decision_ticks: int = DECISION_TICKS) -> None:
-        super().__init__(world, task)
+    def __init__(
+        self, world: World, task: Task, seed: int, decision_ticks: int = DECISION_TICKS, *, masked: bool = True
+    ) -> None:
+        super().__init__(world, task, masked=masked)
         self._rng = np.random.default_rng(seed)
         self._ticks = decision_ticks
         s = len(world.rows)
@@ -299,7 +304,7 @@ class Driver:
         f.look()
         self._age[f.wish != self._last_wish] = 10**6
         self._last_wish[:] = f.wish
-        _choose_all(self._logits(f.observe()), f.rule, self._age, f.lanes, w.target_lane, f.wish, self.meta, self._by)
+        _choose_all(self._logits(f.observe()), f.rule, self._age, self.meta, self._by)
         self._age[self._by != HELD] = 0
         self._age += 1
         self.overridden = self._by == MASKED

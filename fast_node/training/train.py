@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+import csv
+import importlib.util
 import json
+import os
+import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,73 +23,120 @@ from fast_node.policy import load_policy
 from fast_node.training.learner import LearnerConfig, advantages, masked_distribution, update
 from fast_node.training.network import ActorCritic
 from fast_node.training.rollout import Mixed
-from schemas.features import FEATURES, LAYOUT_HASH, N_ROWS
+from schemas.features import FEATURES, LAYOUT_HASH, N_ROWS, Array
+from schemas.process import ConfigError
 
 WIDTH, HEADS, LAYERS = 128, 2, 1
 ROLLOUT = 16
+SAVE_EVERY = 10
+"""Updates between two states to resume from."""
+
+Logits = Callable[[Array], Array]
+"""(S, N, F) -> (S, 5)"""
 
 
 def train(
     scenes: Mixed, out: Path, *, steps: int, seed: int, progress: Callable[[int, dict[str, float]], None],
-    config: LearnerConfig | None = None,
+    config: LearnerConfig | None = None, resume: bool = False, watch: Callable[[int, Logits], None] = lambda *_: None,
 ) -> dict[str, float]:
     """Train for `steps` decisions and export to `out` (.safetensors). Returns the last figures.
 
-    The learning rate falls linearly to a tenth: the policy that is exported is the last one.
+    The learning rate falls linearly to a tenth: the policy that is exported is the last one. Beside `out` lie its
+    sidecar (.json), the figures of every update (.progress.csv and, where tensorboard is installed, .tensorboard/) and
+    the state to resume from (.train.pt). A resumed run goes on with network, optimizer, generators and step count; the
+    worlds are the caller's, and start new episodes. `watch` is called with the decisions made so far and the policy of
+    that moment, before the first and after each. Raises `ConfigError` for a state that is not this run's.
     """
     torch.manual_seed(seed)
     torch.set_num_threads(1)
     generator = torch.Generator().manual_seed(seed)
     config = config or LearnerConfig()
     net = ActorCritic(WIDTH, HEADS, LAYERS)
-    optimizer = torch.optim.Adam(net.parameters(), lr=config.lr, eps=1e-5)
-    x, is_open = scenes.observe()
-    s = len(x)
-    done, figures, started = 0, {}, time.perf_counter()
+    optimizer = torch.optim.Adam(net.parameters(), lr=config.lr, eps=1e-5, fused=True)
+    run = {"seed": seed, "scenarios": [part.task.name for part in scenes.parts], "learner": asdict(config)}
+    done, resumed_at = 0, list[int]()
+    if resume:
+        saved = saved_state(out)
+        done, resumed_at = saved["steps"], [*saved["resumed_at"], saved["steps"]]
+        if saved["run"] != run:
+            raise ConfigError(f"{out.name} was trained with {saved['run']}: resume it with the same, or train anew")
+        if done >= steps:
+            raise ConfigError(f"{out.name} has learnt from {done} decisions already: resume it with more --steps")
+        net.load_state_dict(saved["net"])
+        optimizer.load_state_dict(saved["optimizer"])
+        torch.set_rng_state(saved["rng"])
+        generator.set_state(saved["generator"])
+
+    def logits_of(x: Array) -> Array:
+        with torch.no_grad():
+            return np.asarray(net(torch.from_numpy(x))[0].numpy())
+
+    figures: dict[str, float] = {}
     episode_returns: list[float] = []
     crashes: list[bool] = []
-    while done < steps:
-        for group in optimizer.param_groups:
-            group["lr"] = config.lr * max(0.1, 1.0 - done / steps)
-        keep: dict[str, list[np.ndarray]] = {k: [] for k in (
-            "x", "is_open", "action", "log_prob", "value", "next_value", "reward", "terminated", "ended")}
-        for _ in range(ROLLOUT):
-            with torch.no_grad():
-                logits, value = net(torch.from_numpy(x))
-                dist = masked_distribution(logits, torch.from_numpy(is_open))
-                action = dist.sample()
-                log_prob = dist.log_prob(action)
-            reward, terminated, truncated = scenes.decide(action.numpy())
-            ended = terminated | truncated
-            next_x, next_open = scenes.observe()
-            with torch.no_grad():
-                next_value = net(torch.from_numpy(next_x))[1].numpy()
-            for k, v in (("x", x), ("is_open", is_open), ("action", action.numpy()), ("log_prob", log_prob.numpy()),
-                         ("value", value.numpy()), ("next_value", next_value), ("reward", reward),
-                         ("terminated", terminated), ("ended", ended)):
-                keep[k].append(v)
-            if ended.any():
-                episode_returns += scenes.returns[ended].tolist()
-                crashes += terminated[ended].tolist()
-                scenes.reset(ended)
+    started, before = time.perf_counter(), done
+    x, is_open = scenes.observe()
+    watch(done, logits_of)
+    with _log(out, done) as log:
+        while done < steps:
+            for group in optimizer.param_groups:
+                group["lr"] = config.lr * max(0.1, 1.0 - done / steps)
+            keep: dict[str, list[np.ndarray]] = {k: [] for k in (
+                "x", "is_open", "action", "log_prob", "value", "last_value", "reward", "terminated", "ended")}
+            for _ in range(ROLLOUT):  # act: a_t ~ pi(. | o_t) over the open actions (Eq. 12)
+                with torch.no_grad():
+                    logits, value = net(torch.from_numpy(x))
+                    dist = masked_distribution(logits, torch.from_numpy(is_open))
+                    action = dist.sample()
+                    log_prob = dist.log_prob(action)
+                reward, terminated, truncated = scenes.decide(action.numpy())
+                ended = terminated | truncated
                 next_x, next_open = scenes.observe()
-            x, is_open = next_x, next_open
-        done += ROLLOUT * s
-        b = {k: np.stack(v) for k, v in keep.items()}
-        advantage = advantages(b["reward"], b["value"], b["next_value"], b["terminated"], b["ended"],
-                               config.gamma, config.lam)
-        flat = {k: torch.from_numpy(b[k].reshape(-1, *b[k].shape[2:])) for k in ("x", "is_open", "action", "log_prob")}
-        flat["advantage"] = torch.from_numpy(advantage.reshape(-1))
-        flat["value_target"] = torch.from_numpy((advantage + b["value"]).reshape(-1))
-        figures = update(net, optimizer, config, flat, generator)
-        figures["episodic_return"] = float(np.mean(episode_returns[-200:])) if episode_returns else float("nan")
-        figures["crash_rate"] = float(np.mean(crashes[-200:])) if crashes else float("nan")
-        figures["SPS"] = done / (time.perf_counter() - started)
-        progress(done, figures)
-    export(net, out, {"steps": done, "seed": seed, "learner": asdict(config),
-                      "scenarios": [part.task.name for part in scenes.parts],
-                      "metrics": {k: round(v, 4) for k, v in figures.items() if k != "SPS"}})
+                last_value = np.zeros(len(x), np.float32)  # of the states that are left behind by a reset
+                if ended.any():
+                    last_value[ended] = _values(net, next_x[ended])
+                    episode_returns += scenes.returns[ended].tolist()
+                    crashes += terminated[ended].tolist()
+                    scenes.reset(ended)
+                    next_x, next_open = scenes.observe()
+                for k, v in (("x", x), ("is_open", is_open), ("action", action.numpy()),
+                             ("log_prob", log_prob.numpy()), ("value", value.numpy()), ("last_value", last_value),
+                             ("reward", reward), ("terminated", terminated), ("ended", ended)):
+                    keep[k].append(v)
+                x, is_open = next_x, next_open
+                done += len(x)
+                watch(done, logits_of)
+            # V(o_{t+1}) of the same episode, then advantages and value targets (Eq. 14, 16), then the update (Eq. 15)
+            b = {k: np.stack(v) for k, v in keep.items()}
+            following = np.concatenate([b["value"][1:], _values(net, x)[None]])
+            next_value = np.where(b["ended"], b["last_value"], following)
+            advantage = advantages(b["reward"], b["value"], next_value, b["terminated"], b["ended"],
+                                   config.gamma, config.lam)
+            flat = {k: torch.from_numpy(b[k].reshape(-1, *b[k].shape[2:]))
+                    for k in ("x", "is_open", "action", "log_prob")}
+            used = int(np.flatnonzero(b["x"][..., 0].any((0, 1)))[-1]) + 1  # rows that are always absent cost time
+            flat["x"] = flat["x"][:, :used]
+            flat["advantage"] = torch.from_numpy(advantage.reshape(-1))
+            flat["value_target"] = torch.from_numpy((advantage + b["value"]).reshape(-1))
+            figures = update(net, optimizer, config, flat, generator)
+            figures["episodic_return"] = float(np.mean(episode_returns[-200:])) if episode_returns else float("nan")
+            figures["crash_rate"] = float(np.mean(crashes[-200:])) if crashes else float("nan")
+            figures["SPS"] = (done - before) / (time.perf_counter() - started)
+            figures["learning_rate"] = optimizer.param_groups[0]["lr"]
+            log(done, figures)
+            progress(done, figures)
+            if done >= steps or done // (ROLLOUT * len(x)) % SAVE_EVERY == 0:
+                _save(out, {"run": run, "steps": done, "resumed_at": resumed_at, "net": net.state_dict(),
+                            "optimizer": optimizer.state_dict(), "rng": torch.get_rng_state(),
+                            "generator": generator.get_state()})
+    export(net, out, {"steps": done, **run, "resumed_at": resumed_at, "revision": revision(),
+                      "metrics": {k: round(v, 4) for k, v in figures.items() if k not in ("SPS", "learning_rate")}})
     return figures
+
+
+def _values(net: ActorCritic, x: Array) -> Array:
+    with torch.no_grad():
+        return np.asarray(net(torch.from_numpy(x))[1].numpy())
 
 
 def export(net: ActorCritic, out: Path, sidecar: dict[str, object], observations: int = 1000) -> None:
@@ -94,11 +147,84 @@ def export(net: ActorCritic, out: Path, sidecar: dict[str, object], observations
         "layout_hash": LAYOUT_HASH, "features": FEATURES, "mask": MASK_VERSION, "layers": LAYERS, "heads": HEADS,
         "width": WIDTH, **sidecar}, indent=1) + "\n")
     policy = load_policy(out)
-    x = np.random.default_rng(0).normal(size=(observations, N_ROWS, len(FEATURES))).astype(np.float32)
-    x[:, :, 0] = np.random.default_rng(1).random((observations, N_ROWS)) < 0.7
-    x[:, 0, 0] = 1.0
+    x = random_inputs(observations)
     with torch.no_grad():
         expected = net(torch.from_numpy(x))[0].numpy()
     worst = max(float(np.abs(policy.logits(a) - b).max()) for a, b in zip(x, expected, strict=True))
     if worst > 1e-4:
         raise ValueError(f"the exported policy differs from the trained one by {worst:.1e}")
+
+
+def random_inputs(observations: int) -> Array:
+    """(observations, N, F) normal numbers with about 70 % of the rows present, the ego always."""
+    x = np.random.default_rng(0).normal(size=(observations, N_ROWS, len(FEATURES))).astype(np.float32)
+    x[:, :, 0] = np.random.default_rng(1).random((observations, N_ROWS)) < 0.7
+    x[:, 0, 0] = 1.0
+    return x
+
+
+def revision() -> str | None:
+    """The source's git commit, with -dirty when it was changed; None where there is no git to ask."""
+    try:
+        asked = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--exclude", "*"], cwd=Path(__file__).parent,
+            capture_output=True, text=True, timeout=5, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return asked.stdout.strip()
+
+
+def saved_state(out: Path) -> dict[str, Any]:
+    """What `train` left beside `out` to resume from; "steps": how far it got. Raises `ConfigError` without it."""
+    path = out.with_suffix(".train.pt")
+    if not path.exists():
+        raise ConfigError(f"there is no {path.name} beside {out.name} to resume from: train without --resume")
+    state: dict[str, Any] = torch.load(path, weights_only=True)
+    return state
+
+
+def _save(out: Path, state: dict[str, Any]) -> None:
+    path = out.with_suffix(".train.pt")
+    torch.save(state, path.with_suffix(".new"))
+    os.replace(path.with_suffix(".new"), path)
+
+
+LOGGED = {
+    "charts/episodic_return": "episodic_return", "charts/crash_rate": "crash_rate",
+    "charts/learning_rate": "learning_rate", "charts/SPS": "SPS", "losses/policy_loss": "policy_loss",
+    "losses/value_loss": "value_loss", "losses/approx_kl": "approx_kl", "losses/updates": "updates",
+}
+"""CleanRL's names of our figures."""
+
+
+@contextlib.contextmanager
+def _log(out: Path, done: int) -> Iterator[Callable[[int, dict[str, float]], None]]:
+    """Writes the figures of every update to a CSV file and, where tensorboard is installed, for it as well.
+
+    What an interrupted run wrote after it was last saved, at `done` decisions, is dropped: it is done again.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    path = out.with_suffix(".progress.csv")
+    kept = [line for line in path.read_text().splitlines()[1:] if int(line.split(",")[0]) <= done] if done else []
+    board = None
+    if importlib.util.find_spec("tensorboard"):
+        from torch.utils.tensorboard import SummaryWriter
+
+        board = SummaryWriter(str(out.with_suffix(".tensorboard")), purge_step=done)
+    with path.open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["global_step", *LOGGED])
+        rows.writerows(line.split(",") for line in kept)
+
+        def log(step: int, figures: dict[str, float]) -> None:
+            rows.writerow([step, *(f"{figures[k]:.6g}" for k in LOGGED.values())])
+            file.flush()
+            if board is not None:
+                for name, k in LOGGED.items():
+                    board.add_scalar(name, figures[k], step)
+
+        try:
+            yield log
+        finally:
+            if board is not None:
+                board.close()

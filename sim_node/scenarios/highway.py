@@ -59,7 +59,7 @@ NATURAL = replace(
     lanes=lanes(33.0),
     ego=EgoPlan(lanes=(0, 1, 2, 3), x_m=(600.0, 600.0), speed_mps=(24.0, 29.0), speed_ceiling_mps=33.0),
     flows=flows((18.0, 29.7), (18.0, 21.0)),
-    success=Success(mean_speed_mps=20.0),
+    success=Success(mean_speed_mps=18.0),  # in one scene of eight all four lanes have a lead of 18 to 21 m/s
 )
 
 SCENARIOS = (HIGHWAY, NATURAL)

@@ -267,7 +267,7 @@ def draw_wish(
     eager = rng.random() < 0.5
     # Seldom a crawl: a passenger who wants to stand still is rare, one who wants to go on is not.
     speed = high if eager else float(rng.uniform(low if rng.random() < 0.1 else 0.5 * high, high))
-    headway = float(rng.uniform(1.0, 2.5))
+    headway = float(rng.uniform(0.8, 2.5))
     if scenario.wish_lanes:
         lane = ANY_LANE if rng.random() < 0.5 else int(rng.choice(scenario.wish_lanes))
         return lane, -1, speed, headway

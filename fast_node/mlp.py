@@ -1,0 +1,71 @@
+"""The baselines' exported policies: stable-baselines3's multi-layer perceptrons in NumPy. No torch.
+
+Axes: ... any batch axes, N vehicle rows, F features.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load_file
+
+from fast_node.mask import VERSION as MASK_VERSION
+from schemas.features import FEATURES, LAYOUT_HASH, N_ROWS
+from schemas.messages import MetaAction
+from schemas.process import ConfigError
+
+Array = NDArray[np.float32]
+WISH = tuple(FEATURES.index(name) for name in ("y_des", "v_des", "headway", "y_wished"))
+"""The directive's columns, of the ego's row: what a bare baseline does not get to see."""
+
+
+class MlpPolicy:
+    """The ego's five preferences from all rows at once: logits of PPO and A2C, Q values of DQN."""
+
+    def __init__(self, weights: dict[str, Array], sidecar: Mapping[str, object]) -> None:
+        self.sidecar = sidecar
+        self._layers = [(np.ascontiguousarray(weights[f"{k}.weight"].T), weights[f"{k}.bias"])
+                        for k in range(len(weights) // 2)]
+        if sidecar["variant"] == "bare":
+            first = self._layers[0][0].copy().reshape(N_ROWS, len(FEATURES), -1)
+            first[0, WISH] = 0.0  # as if the wish itself were zero
+            self._layers[0] = first.reshape(self._layers[0][0].shape), self._layers[0][1]
+        self._relu = sidecar["activation"] == "relu"
+
+    def logits(self, x: Array) -> Array:
+        """(..., N, F) -> (..., 5)"""
+        z = x.reshape(*x.shape[:-2], -1)
+        for weight, bias in self._layers[:-1]:
+            z = z @ weight + bias
+            z = np.maximum(z, 0) if self._relu else np.tanh(z)
+        out: Array = z @ self._layers[-1][0] + self._layers[-1][1]
+        return out
+
+
+def with_guard(logits: Array) -> Array:
+    """(..., 5) preferences as `masked` baselines learn them: the best action, or CRUISE where the mask closes it."""
+    out = np.zeros_like(logits)
+    out[..., MetaAction.CRUISE] = 1.0
+    np.put_along_axis(out, logits.argmax(-1)[..., None], 2.0, -1)
+    return out
+
+
+def load_mlp(path: Path) -> MlpPolicy:
+    """The policy in `path` with its `.json` sidecar. Raises `ConfigError` if missing, corrupt or made for others."""
+    try:
+        sidecar = json.loads(path.with_suffix(".json").read_text())
+        weights = load_file(path)
+    except FileNotFoundError as error:
+        raise ConfigError(f"no baseline at {error.filename}: train it with `fastslow study`") from None
+    except (SafetensorError, json.JSONDecodeError, OSError) as error:
+        raise ConfigError(f"the baseline {path.name} is corrupt ({error}): train it anew") from None
+    mask = None if sidecar.get("variant") == "bare" else MASK_VERSION
+    for name, want in (("layout_hash", LAYOUT_HASH), ("mask", mask)):
+        if sidecar.get(name) != want:
+            raise ConfigError(f"{path.name} has {name} {sidecar.get(name)!r}, this code {want!r}: train it anew")
+    return MlpPolicy(weights, sidecar)

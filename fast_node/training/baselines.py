@@ -1,0 +1,170 @@
+"""PPO, A2C and DQN of stable-baselines3 on the very scenes that ours learns on (extra `baselines`).
+
+Tuned fairly: scaled rewards, our learning rate and discount, two layers of 128, DQN with a gradient
+step per four transitions. Two variants, which differ in their scenes and here:
+
+* `bare`, as published: no mask, and the wish's columns are zero. Its scenes should ask for one and the same thing.
+* `masked`: our mask as a guard (they choose; what is closed becomes CRUISE), and the wish in their observation.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from numpy.typing import NDArray
+from safetensors.numpy import save_file
+from stable_baselines3 import A2C, DQN, PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnv
+
+from fast_node.mask import VERSION as MASK_VERSION
+from fast_node.mlp import WISH, MlpPolicy, load_mlp
+from fast_node.training.rollout import Mixed
+from fast_node.training.train import Logits, random_inputs, revision
+from schemas.features import BOUND, FEATURES, LAYOUT_HASH, N_ROWS, Array
+from schemas.messages import POLICY_ACTIONS, MetaAction
+
+VARIANTS = ("bare", "masked")
+COMMON = {"gamma": 0.99, "learning_rate": 5e-4}
+CONFIG: dict[str, dict[str, Any]] = {
+    "ppo": {"n_steps": 32, "batch_size": 256, "n_epochs": 10, "target_kl": 0.03, "ent_coef": 0.01},
+    "a2c": {"n_steps": 8, "ent_coef": 0.01},
+    "dqn": {"batch_size": 64, "buffer_size": 100_000, "learning_starts": 1000, "train_freq": 1, "gradient_steps": 4,
+            "target_update_interval": 1000, "exploration_fraction": 0.2},
+}
+"""Where they differ from stable-baselines3's defaults, for 64 (PPO) and 16 scenes at once."""
+_ADAM: dict[str, dict[str, Any]] = {
+    "ppo": {"optimizer_kwargs": {"eps": 1e-5, "fused": True}}, "a2c": {}, "dqn": {"optimizer_kwargs": {"fused": True}}}
+"""The same Adam, computed faster; 1e-5 is PPO's own."""
+WIDTH = 128
+
+
+class VecScenes(VecEnv):
+    """`Mixed` scenes as stable-baselines3 wants them: flat observations (S, N*F), resets inside `step`."""
+
+    def __init__(self, scenes: Mixed, variant: str) -> None:
+        self._scenes, self._bare = scenes, variant == "bare"
+        self.episodes: list[tuple[float, bool]] = []
+        """(return, crashed) of every finished episode."""
+        x, self._open = scenes.observe()
+        super().__init__(len(x), spaces.Box(-BOUND, BOUND, (N_ROWS * len(FEATURES),), np.float32),
+                         spaces.Discrete(POLICY_ACTIONS))
+
+    def _see(self) -> Array:
+        x, self._open = self._scenes.observe()
+        if self._bare:
+            x[:, 0, WISH] = 0.0
+        return x.reshape(len(x), -1)
+
+    def reset(self) -> Array:
+        self._scenes.reset(np.ones(self.num_envs, np.bool_))
+        return self._see()
+
+    def step_async(self, actions: NDArray[np.int64]) -> None:
+        self._actions = np.asarray(actions, np.int64)
+
+    def step_wait(self) -> tuple[Array, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        closed = ~self._open[np.arange(self.num_envs), self._actions]
+        earned, terminated, truncated = self._scenes.decide(np.where(closed, int(MetaAction.CRUISE), self._actions))
+        done = terminated | truncated
+        seen = self._see()
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        if done.any():
+            returns = self._scenes.returns
+            for s in np.flatnonzero(done):
+                self.episodes.append((float(returns[s]), bool(terminated[s])))
+                infos[s] = {"terminal_observation": seen[s], "TimeLimit.truncated": bool(truncated[s])}
+            self._scenes.reset(done)
+            seen = self._see()
+        return seen, earned, done, infos
+
+    def close(self) -> None:
+        pass
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        return [None] * self.num_envs  # asked for the render mode only
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        raise NotImplementedError
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        raise NotImplementedError
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        return [False] * self.num_envs
+
+
+class _Watch(BaseCallback):
+    def __init__(self, told: Callable[[int], None]) -> None:
+        super().__init__()
+        self._told = told
+
+    def _on_step(self) -> bool:
+        self._told(self.num_timesteps)
+        return True
+
+
+def learn(
+    algorithm: str, scenes: Mixed, out: Path, *, variant: str, steps: int, seed: int,
+    watch: Callable[[int, Logits], None] = lambda *_: None,
+) -> None:
+    """Train "ppo", "a2c" or "dqn" for `steps` decisions and export it to `out` (.safetensors) for `fast_node.mlp`.
+
+    `watch` is called with the decisions made so far and the policy of that moment, before the first and after each.
+    """
+    torch.set_num_threads(1)
+    env = VecScenes(scenes, variant)
+    kinds: dict[str, Any] = {"ppo": PPO, "a2c": A2C, "dqn": DQN}
+    model = kinds[algorithm]("MlpPolicy", env, seed=seed, device="cpu", **COMMON, **CONFIG[algorithm],
+                             policy_kwargs={"net_arch": [WIDTH, WIDTH], **_ADAM[algorithm]})
+    sidecar = {"algorithm": algorithm, "variant": variant, "activation": "relu" if algorithm == "dqn" else "tanh"}
+
+    def now(x: Array) -> Array:
+        return MlpPolicy(weights_of(model), sidecar).logits(x)
+
+    watch(0, now)
+    model.learn(steps, callback=_Watch(lambda done: watch(done, now)))
+    last = env.episodes[-200:]
+    metrics = {"episodic_return": round(float(np.mean([r for r, _ in last])), 4),
+               "crash_rate": round(float(np.mean([c for _, c in last])), 4)} if last else {}
+    export(model, out, {
+        **sidecar, "mask": None if variant == "bare" else MASK_VERSION, "steps": model.num_timesteps, "seed": seed,
+        "scenarios": [part.task.name for part in scenes.parts], "learner": {**COMMON, **CONFIG[algorithm]},
+        "revision": revision(), "metrics": metrics})
+
+
+def weights_of(model: Any) -> dict[str, Array]:
+    """The linear layers from observation to preferences, in order: "0.weight", "0.bias", "1.weight", ..."""
+    policy = model.policy
+    body = [policy.q_net.q_net] if isinstance(model, DQN) else [policy.mlp_extractor.policy_net, policy.action_net]
+    layers = [m for part in body for m in part.modules() if isinstance(m, torch.nn.Linear)]
+    return {f"{k}.{name}": np.ascontiguousarray(getattr(layer, name).detach().numpy())
+            for k, layer in enumerate(layers) for name in ("weight", "bias")}
+
+
+def export(model: Any, out: Path, sidecar: dict[str, object], observations: int = 1000) -> None:
+    """Write weights and sidecar, and check the NumPy policy against torch; raises `ValueError` beyond 1e-4."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    save_file(weights_of(model), out)
+    out.with_suffix(".json").write_text(json.dumps({
+        "layout_hash": LAYOUT_HASH, "features": FEATURES, "width": WIDTH, **sidecar}, indent=1) + "\n")
+    x = random_inputs(observations)
+    seen = x.copy()
+    if sidecar["variant"] == "bare":
+        seen[:, 0, WISH] = 0.0
+    flat = torch.from_numpy(seen.reshape(observations, -1))
+    with torch.no_grad():
+        policy = model.policy
+        expected = policy.q_net(flat) if isinstance(model, DQN) else policy.get_distribution(flat).distribution.logits
+    got = load_mlp(out).logits(x)
+    if not isinstance(model, DQN):  # torch's are normalised
+        got = got - np.log(np.exp(got).sum(-1, keepdims=True))
+    worst = float(np.abs(got - expected.numpy()).max())
+    if worst > 1e-4:
+        raise ValueError(f"the exported policy differs from the trained one by {worst:.1e}")

@@ -1,0 +1,187 @@
+"""The study: baselines on our scenes, resuming, and the table's arithmetic."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deploy import study
+from deploy.study import Cell, cells_of, claims_of, finished, run_cell, run_cells, summary_of, t_interval
+from deploy.training import mixed_scenes, train_policy
+from fast_node.mlp import WISH, load_mlp, with_guard
+from schemas.features import FEATURES, LAYOUT_HASH, N_ROWS
+from schemas.messages import MetaAction
+from schemas.process import ConfigError
+from schemas.wish import ANY_LANE
+from sim_node.scenarios import SCENARIOS
+
+TOY = Cell("ours", "masked", "two-way", 0, 256, 2)
+
+
+def baseline(algorithm: str, variant: str, out: Path, steps: int = 64) -> None:
+    """Train a toy in four scenes; the export checks itself against torch."""
+    pytest.importorskip("stable_baselines3")
+    from fast_node.training.baselines import learn
+
+    scenes = mixed_scenes(["two-way"], 0, scenes=4, hurried=variant == "bare", masked=variant != "bare")
+    learn(algorithm, scenes, out, variant=variant, steps=steps, seed=0)
+
+
+def vec_scenes(variant: str) -> Any:
+    pytest.importorskip("stable_baselines3")
+    from fast_node.training.baselines import VecScenes
+
+    return VecScenes(mixed_scenes(["two-way"], 0, scenes=8, hurried=True, masked=variant != "bare"), variant)
+
+
+def drive_until_done(env: Any, action: MetaAction) -> list[tuple[np.ndarray, dict[str, Any]]]:
+    """(what is seen next, info) of every scene whose first episode has ended, at the step where one did."""
+    env.reset()
+    for _ in range(100):
+        seen, _, done, infos = env.step(np.full(env.num_envs, int(action)))
+        if done.any():
+            return [(seen[s], infos[s]) for s in np.flatnonzero(done)]
+    raise AssertionError("no episode ended")
+
+
+def test_a_crash_is_no_truncation_and_the_next_episode_follows_at_once() -> None:
+    for seen, info in drive_until_done(vec_scenes("bare"), MetaAction.SPEED_UP):
+        assert info["TimeLimit.truncated"] is False
+        assert not np.array_equal(info["terminal_observation"], seen)
+
+
+def test_an_episode_that_runs_out_of_time_is_marked_for_bootstrapping_with_its_last_observation() -> None:
+    for seen, info in drive_until_done(vec_scenes("masked"), MetaAction.CRUISE):
+        assert info["TimeLimit.truncated"] is True
+        assert not np.array_equal(info["terminal_observation"], seen)
+
+
+def test_a_bare_baseline_is_not_shown_the_wish() -> None:
+    env = vec_scenes("bare")
+    assert not env.reset().reshape(-1, N_ROWS, len(FEATURES))[:, 0, WISH].any()
+    assert vec_scenes("masked").reset().reshape(-1, N_ROWS, len(FEATURES))[:, 0, WISH].any()
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "a2c", "dqn"])
+def test_an_exported_baseline_answers_as_torch_does_and_a_bare_one_whatever_is_wished(
+    algorithm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("stable_baselines3")
+    from fast_node.training import baselines
+
+    monkeypatch.setitem(baselines.CONFIG, "ppo", {"n_steps": 16, "batch_size": 64})
+    out = tmp_path / "b.safetensors"
+    baseline(algorithm, "bare", out)  # raises when they differ
+    x = np.random.default_rng(0).normal(size=(2, N_ROWS, len(FEATURES))).astype(np.float32)
+    wished = x.copy()
+    wished[:, 0, WISH] += 1.0
+    policy = load_mlp(out)
+    assert np.array_equal(policy.logits(x), policy.logits(wished))
+    assert policy.sidecar["algorithm"] == algorithm
+
+
+def test_a_baseline_for_other_features_is_refused_with_the_fix(tmp_path: Path) -> None:
+    out = tmp_path / "b.safetensors"
+    baseline("a2c", "masked", out)
+    sidecar = json.loads(out.with_suffix(".json").read_text())
+    assert sidecar["layout_hash"] == LAYOUT_HASH
+    out.with_suffix(".json").write_text(json.dumps({**sidecar, "layout_hash": "other"}))
+    with pytest.raises(ConfigError, match="train it anew"):
+        load_mlp(out)
+
+
+def test_behind_the_mask_a_baseline_prefers_its_best_action_and_then_to_cruise() -> None:
+    order = with_guard(np.array([0.1, 0.2, 0.3, 0.9, 0.4], np.float32)).argsort()[::-1]
+    assert order[:2].tolist() == [MetaAction.LEFT, MetaAction.CRUISE]
+
+
+def test_hurried_scenes_never_ask_for_anything_else() -> None:
+    scenes = mixed_scenes(["highway"], 0, scenes=4, hurried=True).parts[0]
+    for _ in range(20):
+        scenes.decide(np.full(4, int(MetaAction.CRUISE)))
+    assert set(scenes.told_lane) == {ANY_LANE}
+    assert set(scenes.v_des) == {SCENARIOS["highway"].ego.speed_ceiling_mps}
+
+
+def test_a_resumed_training_goes_on_where_it_was_saved_and_says_so(tmp_path: Path) -> None:
+    out = tmp_path / "p.safetensors"
+    train_policy(out, ["two-way"], 1024, 0)
+    train_policy(out, ["two-way"], 2048, 0, resume=True)
+    sidecar = json.loads(out.with_suffix(".json").read_text())
+    assert (sidecar["steps"], sidecar["resumed_at"]) == (2048, [1024])
+    with out.with_suffix(".progress.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["global_step"] for row in rows] == ["1024", "2048"]
+    assert {"charts/episodic_return", "losses/approx_kl", "losses/value_loss"} <= rows[0].keys()
+
+
+def test_a_training_is_not_resumed_from_nothing_nor_as_another(tmp_path: Path) -> None:
+    out = tmp_path / "p.safetensors"
+    with pytest.raises(ConfigError, match="without --resume"):
+        train_policy(out, ["two-way"], 1024, 0, resume=True)
+    train_policy(out, ["two-way"], 1024, 0)
+    with pytest.raises(ConfigError, match="train anew"):
+        train_policy(out, ["two-way"], 2048, 1, resume=True)
+    with pytest.raises(ConfigError, match="--steps"):
+        train_policy(out, ["two-way"], 1024, 0, resume=True)
+
+
+def test_the_study_skips_finished_cells_and_not_those_of_other_settings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = run_cell(TOY, tmp_path)
+    monkeypatch.setattr(study, "ProcessPoolExecutor", None)  # none may be started
+    assert run_cells([TOY], tmp_path, jobs=1) == [json.loads(json.dumps(result))]
+    assert [step for step, _ in result["curve"]] == [0, 1024]
+    assert finished(Cell("ours", "masked", "two-way", 0, 512, 2), tmp_path) is None
+
+
+def test_the_matrix_has_ours_once_and_every_baseline_in_both_variants() -> None:
+    assert len(cells_of(study.ALGORITHMS, study.ROADS, study.SEEDS, 100_000)) == 7 * 3 * 5
+    with pytest.raises(ValueError, match="a2c"):
+        cells_of(["sarsa"], ["merge"], [0], 100)
+
+
+def result(algorithm: str, final: float, seed: int = 0, variant: str = "masked", early: float = 0.0) -> dict[str, Any]:
+    return {"algorithm": algorithm, "variant": variant, "scenario": "merge", "seed": seed, "episodes": 100,
+            "curve": [[0, -1.0], [30_000, early], [100_352, final]], **dict.fromkeys(study.FIGURES, 0.5)}
+
+
+def test_the_interval_over_seeds_is_students() -> None:
+    assert t_interval([1.0, 2.0, 3.0]) == pytest.approx((2.0, 4.303 / 3**0.5))
+    assert t_interval([1.0]) == (1.0, None)
+
+
+def test_the_summary_is_the_hand_computed_one() -> None:
+    rows = summary_of([result("ours", 2.0, 0, early=1.0), result("ours", 3.0, 1, early=2.0),
+                       result("a2c", -1.0, 0, "bare")])
+    ours = rows[0]
+    assert (ours["seeds"], ours["return"], ours["return_early"], ours["episodes"]) == (2, 2.5, 1.5, 200)
+    assert ours["success_ci95"] == pytest.approx(study.wilson95(100, 200))
+    assert ours["above_a2c"] == {"bare": 3.5}  # 3.5 above a return of -1, in shares of its size
+
+
+def test_the_papers_claims_hold_only_where_they_were_measured() -> None:
+    some = [result("ours", 2.0 + 0.01 * k, k, early=0.9) for k in range(3)]
+    some += [result("ppo", 1.0 + 0.01 * k, k) for k in range(3)] + [result("a2c", 1.8 + 0.01 * k, k) for k in range(3)]
+    claims = {(c["against"], c["claim"]): c["holds"] for c in claims_of(summary_of(some))}
+    assert claims == {
+        ("ppo masked", "final return above, 95 % intervals apart"): True,
+        ("ppo masked", "return at 30,000 decisions above PPO's final"): False,
+        ("a2c masked", "final return above, 95 % intervals apart"): True,
+        ("a2c masked", "final return at least 30% of |A2C's| above A2C's"): False}
+
+
+@pytest.mark.parametrize(("final", "code"), [(study.QUICK_RETURN + 0.1, 0), (study.QUICK_RETURN - 0.1, 1)])
+def test_the_quick_study_fails_below_its_return(
+    final: float, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(study, "run_cells", lambda *_: [result("ours", final, seed) for seed in range(3)])
+    assert study.run_study(tmp_path, quick=True) == code
+    assert json.loads((tmp_path / "study.json").read_text())["schema"] == study.SCHEMA
+    assert (tmp_path / "study.png").exists()
