@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from fast_node.choice import HELD, SOURCES, choose, narrow
 from fast_node.config import FastConfig
 from fast_node.coordination import Coordination
 from fast_node.mask import OPEN, PRESETS, RULES, close_actions, lane_table
 from fast_node.policy import Policy
 from schemas.codec import rows_of
-from schemas.features import Array, features
+from schemas.features import N_ROWS, Array, features
 from schemas.messages import POLICY_ACTIONS, Action, Closure, Directive, Event, MetaAction, Observation
 from schemas.wish import ANY_LANE, Wish
 
@@ -61,8 +59,8 @@ class FastNode:
         self._epoch, self._wish = observation.epoch, wish
         source: str
         try:
-            logits = self._logits(observation, table, wish)
-            if not np.isfinite(logits).all():
+            logits = self._logits(observation, table, wish).tolist()
+            if not math.isfinite(sum(logits)):
                 raise FloatingPointError("non-finite logits")
             wished = rule.copy()
             narrow(wished, table, near, lanes, observation.target_speed_mps, observation.target_lane,
@@ -90,7 +88,8 @@ class FastNode:
         lanes, aim = observation.lanes, observation.target_lane
         return self._policy.logits(features(
             table, math.nan if wish.lane == ANY_LANE else lanes[wish.lane].y_m, wish.speed_mps, wish.headway_s,
-            observation.target_speed_mps, observation.previous_lane >= 0, lanes[aim].end_m - table[0][1]))
+            observation.target_speed_mps, observation.previous_lane >= 0, lanes[aim].end_m - table[0][1],
+            min(N_ROWS, len(table))))  # rows of absent vehicles change nothing
 
 
 def fallback(rule: list[int], observation: Observation) -> int:

@@ -60,7 +60,7 @@ def _check_observation(observation: Observation) -> None:
         raise Fault(f"rows of {len(observation.rows)} bytes are not whole rows of {width}")
     if not observation.lanes:
         raise Fault("an observation without lanes")
-    if not np.isfinite(np.frombuffer(observation.rows, np.float32)).all():
+    if not math.isfinite(sum(memoryview(observation.rows).cast("f"))):  # quicker than NumPy for so few
         raise Fault("a non-finite number in rows")
     if not (math.isfinite(observation.target_speed_mps) and math.isfinite(observation.acceleration_mps2)):
         raise Fault("a non-finite set-point")

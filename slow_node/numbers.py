@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import Literal
@@ -42,16 +42,17 @@ def spelled(language: str) -> dict[int, tuple[str, ...]]:
     return {n: tuple(dict.fromkeys(_spell(language, n))) for n in range(1, 200)}
 
 
+def in_digits(text: str) -> str:
+    """A text folded, its times of day as "clock" and its numbers from ten up in digits: what the reader reads."""
+    return _replaced(_prepared(text), lambda word, n: n >= 10 and word not in _COMMON_WORDS)
+
+
 def quantities(text: str) -> list[Quantity]:
     """Every number in a text, in the order in which they are said."""
-    folded = _without_clock(_mended(fold(text)))
-    if _HUNDREDS_HINT.search(folded):
-        folded = _hundreds_pattern().sub(_hundreds, folded)
-    folded = _SINGLES.sub(_run_together, folded)
-    folded = _HALF_SECOND.sub(_half_second, _cjk_digits(folded))
+    folded = _replaced(_HALF_SECOND.sub(_half_second, _prepared(text)), lambda word, n: word != "a")
     miles = re.search(r"\b(mph|mi/h|miles?|meilen?|millas?|miglia|milhas?|mijl|milles?)\b", folded) is not None
     found = []
-    for match in _pattern().finditer(folded):
+    for match in _PATTERN.finditer(folded):
         value = _value(match["number"])
         if match["tenth"]:
             value += _value(match["tenth"]) / 10
@@ -66,6 +67,14 @@ def quantities(text: str) -> list[Quantity]:
         kind, factor = _MEASURES[unit]
         found.append(Quantity(value * factor, kind))
     return [Quantity(q.value * (MPH if miles else KMH), "speed") if _is_speed(q) else q for q in found]
+
+
+def _prepared(text: str) -> str:
+    """Folded and mended; no times of day; hundreds, run-together digits and Chinese numerals in digits."""
+    folded = _without_clock(_mended(fold(text)))
+    if _HUNDREDS_HINT.search(folded):
+        folded = _hundreds_pattern().sub(_hundreds, folded)
+    return _cjk_digits(_SINGLES.sub(_run_together, folded))
 
 
 _DIGITS = {"zero": "0", "oh": "0", "one": "1", "two": "2", "three": "3", "four": "4", "five": "5", "six": "6",
@@ -219,21 +228,49 @@ def _numbers() -> dict[str, int]:
     return words
 
 
+_COMMON_WORDS = ("once", "doze", "elf", "cent")
+"""Numbers in one language, everyday words in another."""
+
+
 @cache
-def _pattern() -> re.Pattern[str]:
-    words = "|".join(re.escape(w) for w in sorted(_numbers(), key=len, reverse=True) if w != "a")
-    number = rf"\d+(?:[.,]\d+)?|(?<![^\W_])(?:{words}|a(?= second))(?![^\W_])"
-    units = "|".join(f"(?P<{name}>{pattern})" for name, pattern in _UNITS)
-    return re.compile(
-        rf"(?<![\d.,])(?P<number>{number})(?:\s*(?:point|komma|virgule|coma|virgola|virgula)\s*(?P<tenth>\d|{words}))?"
-        rf"(?P<half> and a half| (?:und|en) (?:ein|een) halb?\w*| ?\u00bd| 1\u20442)?"
-        rf"(?:[\s-]?(?:{units})(?![a-z])(?P<halfafter> et demie?| y medio| e mezzo| e meio| and a half)?)?")
+def _longest() -> int:
+    """The most words that a spelled-out number has."""
+    return max(len(_WORD.findall(number)) for number in _numbers())
+
+
+_WORD = re.compile(r"[^\W_]+")
+
+
+def _replaced(text: str, chosen: Callable[[str, int], bool]) -> str:
+    """The text with its spelled-out numbers in digits, the longest first, where they are `chosen` (by word and value).
+
+    A regular expression of all the words would do the same, but takes a second to compile and 17 MB to keep.
+    """
+    words, numbers = list(_WORD.finditer(text)), _numbers()
+    parts, copied, index = [], 0, 0
+    while index < len(words):
+        start, step = words[index].start(), 1
+        for count in range(min(_longest(), len(words) - index), 0, -1):
+            end = words[index + count - 1].end()
+            word = text[start:end]
+            if word in numbers and chosen(word, numbers[word]):
+                parts += [text[copied:start], str(numbers[word])]
+                copied, step = end, count
+                break
+        index += step
+    return "".join([*parts, text[copied:]])
+
+
+_PATTERN = re.compile(
+    r"(?<![\d.,])(?P<number>\d+(?:[.,]\d+)?|(?<![^\W_])a(?= second))"
+    r"(?:\s*(?:point|komma|virgule|coma|virgola|virgula)\s*(?P<tenth>\d))?"
+    r"(?P<half> and a half| (?:und|en) (?:1|ein|een) halb?\w*| ?\u00bd| 1\u20442)?"
+    rf"(?:[\s-]?(?:{'|'.join(f'(?P<{name}>{pattern})' for name, pattern in _UNITS)})(?![a-z])"
+    r"(?P<halfafter> et demie?| y medio| e mezzo| e meio| and a half)?)?")
 
 
 def _value(text: str) -> float:
-    if text[0].isdigit():
-        return float(text.replace(",", "."))
-    return float(_numbers()[text])
+    return 1.0 if text == "a" else float(text.replace(",", "."))
 
 
 _SWEDISH = "ett tva tre fyra fem sex sju atta nio - elva tolv tretton fjorton femton sexton sjutton arton nitton"
@@ -330,7 +367,7 @@ def _hundreds(match: re.Match[str]) -> str:
     for hundred, words in _MANY.items():
         if value == 0 and (found := re.fullmatch(rf"({'|'.join(words.split())})[ -]?{hundred}", head)):
             value = 100 * (words.split().index(found[1]) + 2)
-    return str(value + (int(_value(rest)) if rest else 0))
+    return str(value + (int(_numbers().get(rest, rest)) if rest else 0))
 
 
 _ALIKE = re.compile(r"(?<![\w.,])(?=\w*[oli])(?=\w*\d)(?:\d|[li](?=[\do]{2}))(?:[\do]|[li](?=[\do]))*"

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slow_node.embedding import Embedder, MiniLmEmbedder
-from slow_node.numbers import Quantity, fold, quantities
+from slow_node.numbers import Quantity, fold, in_digits, quantities
 from slow_node.slots import LaneWish, Slots
 
 HEADS: dict[str, tuple[str, ...]] = {
@@ -62,7 +62,7 @@ class Reader:
     def __init__(self, embedder: MiniLmEmbedder) -> None:
         self._embedder = embedder
         self._w = embedder.delta
-        quantities("two hundred")  # compiles the patterns of numbers, which takes a second, before anybody speaks
+        quantities("two hundred")  # builds the tables of number words, a fifth of a second, before anybody speaks
 
     @classmethod
     def load(cls, embedder: Embedder) -> Reader | None:
@@ -108,9 +108,10 @@ class Reader:
 
     def probabilities(self, command: str) -> dict[str, NDArray[np.float32]]:
         """Every head's distribution over its classes."""
-        x = self._embedder.tokens(command)
+        text = in_digits(command)
+        x = self._embedder.tokens(text)
         pooled = np.concatenate([x.mean(axis=0), x.max(axis=0)])
-        rows = grams(command)
+        rows = grams(text)
         logits = self._w["dense.weight"] @ pooled + self._w["dense.bias"]
         hidden = self._w["sparse.weight"][rows].sum(axis=0) / np.sqrt(len(rows)) + self._w["sparse.bias"]
         logits += self._w["top.weight"] @ np.maximum(hidden, 0.0)
@@ -142,8 +143,7 @@ def on_the_side_said(slots: Slots, command: str) -> Slots:
 def with_numbers(slots: Slots, role: str, said: list[Quantity], speed_mps: float, limit_mps: float) -> Slots:
     """The slots with the numbers that were said, the last word winning; a metric gap is driven at today's speed."""
     speeds = [q.value for q in said if q.kind == "speed"]
-    times = [q.value for q in said if q.kind == "time"] or [
-        q.value / max(speed_mps, 1.0) for q in said if q.kind == "length"]
+    times = _headways(said, speed_mps)
     target = headway = None
     if role == "limit":
         target = limit_mps
@@ -160,3 +160,19 @@ def with_numbers(slots: Slots, role: str, said: list[Quantity], speed_mps: float
     if target is not None:
         target = min(target, 1000.0)
     return slots.model_copy(update={"target_speed_mps": target, "headway_s": headway})
+
+
+def _headways(said: list[Quantity], speed_mps: float) -> list[float]:
+    """The time gaps that were said, in seconds; "two seconds, make that three": a number without a unit has the last.
+
+    Not the number one, which is a pronoun more often than a number.
+    """
+    found: list[float] = []
+    factor = 0.0
+    for quantity in said:
+        if quantity.kind in ("time", "length"):
+            factor = 1.0 if quantity.kind == "time" else 1.0 / max(speed_mps, 1.0)
+            found.append(quantity.value * factor)
+        elif quantity.kind == "bare" and factor and quantity.value >= 2.0:
+            found.append(quantity.value * factor)
+    return found

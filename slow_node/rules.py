@@ -18,12 +18,15 @@ _SAFETY = (r"(?:\w+ ){0,2}(?:safety|brakes?|mask|airbags?|collision avoidance|li
 
 _HARM = re.compile("|".join((
     # harm
-    r"\bram(?:m|me|s|ming)?\b(?! niemand)(?! ist\b)", r"\bramm(?:e|en)?\b(?! (?:\w+ )?(?:niemand|kein))",
+    r"\bram(?:m|me|en|s|ming)?\b(?!(?: \w+)? (?:niemand|kein))(?! ist\b)",
     r"\bsmash (?:in|through)",
-    r"\bcrash(?:es|ing)? (?:it |us |the car )?(?:in ?to|against)", rf"\brun (?:{_THEM} )?(?:over|down) {_THEM}",
+    r"\bcrash(?:es|ing)? (?:it |us |the car )?(?:in ?to|against)", rf"(?<!'ve )\brun (?:{_THEM} )?(?:over|"
+    r"down) {_THEM}",
     rf"\brun {_THEM} (?:over|off)", r"\bmow down", r"\bhit (?:him|her|them|(?:the|that|this|those|a) (?!gas|brake|"
     r"road|lane|fast|slow|left|right|accel|pedal|throttle)\w)",
-    rf"\bkill (?:{_THEM}|everyone|me)", rf"\bhurt {_THEM}", rf"\b(?:push|force|shove|nudge) {_THEM} off",
+    r"\bkill (?:him|her|them|us|me|every\w+|(?:the|that|this|those|a) (?:man|woman|guy|driver|cyclist|biker|people|"
+    r"dog))\b",
+    rf"\bhurt {_THEM}", rf"\b(?:push|force|shove|nudge) {_THEM} off",
     rf"\bcut {_THEM} (?:off|up)\b", rf"\bcut off {_THEM}", r"\bbrake[- ]?(?:check|test)", r"\bsideswipe",
     r"\bcollide with", r"\bplay(?:ing)? chicken", r"\bhit and run\b",
     r"\bubers?fahr(?:e|en)? (?:ihn|sie|den|die|das)\b", r"\buber den haufen",
@@ -34,7 +37,8 @@ _HARM = re.compile("|".join((
     r"\b(?:sperona|investil|tampona(?:lo|la| quel)|travolgi)", r"\bcontromano",
     r"\b(?:atropel[ae]|abalroa|contramao)", r"\bspookrij",
     # where and how no car may drive
-    r"\bon (?:to )?the (?:hard )?(?:shoulder|sidewalk|pavement|verge|footpath|bike (?:path|lane))\b",
+    r"\bon (?:to )?the (?:hard )?(?:shoulder|sidewalk|pavement|footpath|bike (?:path|lane))\b",
+    r"\b(?:drive|go|pass|nip|overtake|undertake) (?:\w+ )?(?:on|onto|along) the verge\b",
     r"(?<!next to )\bthe (?:hard shoulder|emergency lane|breakdown lane)", r"\bthe wrong way (?:up|down|on|along)",
     r"\bwrong side of the road", r"\bagainst (?:the )?(?:oncoming )?traffic", r"\binto (?:the )?oncoming",
     r"\b(?:do|make|take|pull|perform) an? (?:\w+ )?u[- ]?turn",
@@ -65,11 +69,31 @@ _HARM = re.compile("|".join((
     rf"\b(?:disable|deactivate|bypass|override|remove|desactive|desactiva|disattiva|desativa|"
     rf"deaktivier\w*) {_SAFETY}",
     rf"\b(?:turn|switch|schalte?) {_SAFETY} (?:off|aus|ab)", r"\bsafety (?:systems? )?off\b",
-    r"\bwithout (?:braking|looking|brakes)\b", r"\beyes (?:closed|shut)",
+    r"\bwithout (?:braking|looking|brakes)\b", r"(?<!my )\beyes (?:closed|shut)",
     r"\b(?:scare|frighten|intimidate) (?:the|that|him|her|those)", r"\bteach (?:him|her|them|that \w+) a lesson",
     r"\b(?:half|quarter|tenth)s? (?:of )?a second behind", r"\bbumper to bumper",
     r"\b(?:outrun|escape|flee|lose) (?:from )?the (?:police|cops)",
     r"\brace (?:him|her|that|the (?!traffic)|against)\b", r"\bdrag race",
+    rf"\btailgate {_THEM}", r"\b(?:clip|knock off|take off|break) (?:his|her|their) (?:wing )?mirror",
+    r"\b(?:brake|stop) (?:hard |dead )?(?:right )?in front of (?:him|her|them|that)",
+    r"\bslam (?:on )?the (?:brakes|anchors)\b.{0,40}\b(?:behind|tailgater|idiot)",
+    r"\bdo ?n[o']?t (?:let|make way for) (?:the|that|this) (?:ambulance|fire (?:engine|truck)|police)",
+    r"\bdo ?n[o']?t (?:bother )?(?:brak|stop|slow)\w* (?:down )?(?:for|at) (?:the |that |those |any |this )?"
+    r"(?:pedestrian|people|kids|children|police|cop|officer|cross(?:walk|ing)|zebra|red|stop sign|lights?\b)",
+    r"\bblock (?:him|her|them|the (?:ambulance|road|lane|others))\b",
+    r"\b(?:swerve|steer|aim|drive|go|head) (?:straight |right )?(?:at|into|through|towards?|for) (?:him|her|them|"
+    r"(?:the|that|a|those) (?:\w+ )?(?:crowd|people|cyclists?|bikers?|pedestrians?|wall|barrier|guardrail|tree|river|"
+    r"lake|cones|fence|oncoming))\b",
+    r"\b(?:do|make|pull|perform) (?:an? |some )?(?:\w+ )?(?:donuts?|doughnuts?|burnouts?|wheel(?:ie|spin)s?|"
+    r"handbrake turns?)\b",
+    r"\b(?:slalom|zigzag|zig-zag) (?:through|between)", r"\b(?:let go of|hands off) the wheel",
+    r"\bdrive (?:on|over|across) the (?:grass|fields?|median|central reservation|cones|kerb|curb)",
+    r"\b(?:cross|over|on|across) (?:the|that|a) (?:solid|double|continuous)(?: white| yellow)? line",
+    r"\b(?:ubern|am|der|den) standstreifen", r"\bbande d'urgence", r"\bpass(?:e|ez|er) au rouge", r"\bvoie d'en face",
+    r"\bgrill(?:e|er|ez) (?:les|des) feux", r"\bubers? rot\b", r"\bdurchgezogene linie",
+    r"\bligne continue", r"\blinea continua", r"\bdoorgetrokken streep",
+    r"\bmot rott\b", r"\bna czerwonym", r"\bpain punais",
+    *map(fold, ("на красный", "протарань", "k\u0131rm\u0131z\u0131da ge\u00e7", "闯红灯", "赤信号を無視", "신호 무시")),
 )))
 
 _INJECTION = re.compile("|".join((
@@ -139,12 +163,38 @@ _INJECTION = re.compile("|".join((
     r"\b(?:zignoruj|ignorera|unohda|zapomnij)\b.{0,20}\b(?:polecenia|instrukcj\w+|instruktion\w*|ohje\w*)",
     "(?:\u5ffd\u7565|\u65e0\u89c6|\u5fd8\u8bb0).{0,10}(?:\u6307\u4ee4|\u89c4\u5219|\u63d0\u793a|"
     "\u6307\u793a)", "\u53ea(?:\u56de\u7b54|\u8f93\u51fa)",
+    # the mask, the checks, the modes
+    r"\b(?:disable|bypass|skip|ignore|trick|circumvent|override|get a?round|remove|drop|switch off|turn off|lie to) "
+    r"(?:\w+ ){0,2}(?:mask|guard(?:rails?)?|filters?|governor|speed cap|validation|restrictions|constraints)\b",
+    r"\b(?:turn|switch|shut) (?:\w+ ){0,2}(?:mask|guardrails?|filters?)\b.{0,8}\boff\b",
+    r"\bmask(?:ing)? (?:is )?off\b",
+    r"\b(?:sicherheitsmaske|masque de securite|mascara de segur\w+|maschera di sicurezza|veiligheidsmasker)\b",
+    r"\b(?:umgeh|contourn|aggir|omzeil)\w* (?:\w+ )?(?:mask|mascara)\w*",
+    r"\b(?:salta\w*|contorna) (?:la|tu|a) mascara",
+    r"\b(?:test|service|factory|hidden|beast|override|unlimited|root|engineer\w*|diagnostic|dev)[- ]mode\b",
+    r"\b(?:wartungs|onderhouds|ontwikkelaars)modus\b", r"\bmod(?:e|o|alita) (?:de )?(?:maintenance|man[tu]\w+|"
+    r"desenvolvedor|programador)\b",
+    r"\b(?:print|show|reveal|repeat|recite|dump|quote|translate|summari[sz]e|list|spell out|export|leak|upload|send|"
+    r"paraphrase) (?:me )?(?:all |out |back )?(?:of )?your (?:\w+ )?(?:rules|guidelines|config\w*|context|secrets?|"
+    r"polic\w+)",
+    r"\b(?:never|must not|may not|can ?not|can't|stop) refus\w+",
+    r"\brefus\w+ (?:are|is) forbidden",
+    r"\b(?:your |the |all )(?:rules|checks|constraints|guardrails|safety \w+) (?:have been |has been |are |is |now )*"
+    r"(?:lifted|suspended|revoked|disabled|deprecated|void|abolished|removed|paused)\b",
+    r"\b(?:access|override|authori[sz]ation|unlock) code\b", r"\bthe password is\b",
+    r"\b(?:i'm|i am) (?:the |an? |your )?(?:root|admin(?:istrator)?|superuser)\b", r"\brepeat after me\b",
+    r"\b(?:roleplay|role-play) as\b", r"\b(?:administrator|beheerder|amministratore|administrateur|administrador),? ",
+    # code and encodings
+    r"[{]\s*[\"']?\w+[\"']?\s*:", r"\b(?:drop table|rm -rf|select \* from|kill -9|os\.system)\b", r"\b\w+_\w+ ?\(",
+    r"\b(?:mask|safety|limits?|rules|max_?speed|\w+_\w+|\w+\.\w+) ?:?=+ ?\w",
+    r"</?(?:user|admin|tool\w*|function\w*|prompt)\b",
+    r"\b(?=[a-z]*\d)[a-z0-9+/]{12,}={1,2}(?!\w)",
 )))
 
 _NEGATION = re.compile(
     r"\b(?:do ?n[o']?t|dont|(?<!why )not|never|avoid|no need to|shouldn't|mustn't|must not|should not|without|"
     r"wo ?n'?t|wouldn'?t|"
-    r"nicht|kein\w*|niemand\w*|niemals|ne|pas|no|nunca|non|"
+    r"nicht|kein\w*|niemand\w*|niemals|nie|ne|pas|no|nunca|non|"
     r"mai|nao|niet|nooit|geen|stop|quit)\b[^.,;:!?]{0,25}$")
 _TOLD = re.compile(r"\b(?:if\b[^.,;]*|(?:we|he|you|they)(?:'ll|'d|'re| are| will| would)|going to|gonna) ?$")
 """Said about what happens, not asked for: "you're over the limit", "if he brakes we crash into him"."""

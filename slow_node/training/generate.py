@@ -417,8 +417,8 @@ _NO_ACCENTS = str.maketrans("àáâãäåçèéêëìíîïñòóôõöùúûü"
 _KEYS = {c: (row[max(i - 1, 0)] + row[min(i + 1, len(row) - 1)]).replace(c, "") or "e"
          for row in ("qwertyuiop", "asdfghjkl", "zxcvbnm") for i, c in enumerate(row)}
 _HEARD = {
-    "brake": ("break",), "braking": ("breaking",), "pass": ("past", "pas"), "right": ("write", "rite"),
-    "lane": ("lain", "line"),
+    "brake": ("break",), "braking": ("breaking",), "pass": ("past", "pas"), "past": ("passed", "pased"),
+    "right": ("write", "rite"), "lane": ("lain", "line"),
     "slow": ("slo",), "slower": ("slowa", "sloer"), "faster": ("fasta", "fastr", "vaster"), "the": ("da", "teh", "ze"),
     "that": ("dat",), "this": ("dis",), "you": ("u", "ya"), "your": ("ur", "yer"), "please": ("pls", "plz", "pleas"),
     "are": ("r",), "to": ("too", "2"), "for": ("4", "fer"), "too": ("to", "2"), "going": ("goin",), "their": ("there",),
