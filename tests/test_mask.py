@@ -8,7 +8,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fast_node.mask import OPEN, PRESETS, RULES, close_actions, pass_time_s, passing, survey
+from fast_node.choice import choose, narrow
+from fast_node.mask import NOT_WISHED, OPEN, PRESETS, RULES, close_actions, pass_time_s, passing, survey
 from schemas.messages import MetaAction
 from schemas.wish import wished_lane
 from sim_node import executor
@@ -153,6 +154,60 @@ def test_emergency_braking_is_always_open_and_every_closure_has_a_rule(others, s
         car(i + 1, 500 + x, lane, v if lane == 1 else -v, y) for i, (x, lane, v, y) in enumerate(others)]
     rule, _ = judge(rows, LANES, target, *lanes)
     assert rule[MetaAction.EMERGENCY_BRAKE] == OPEN
+
+
+wishes = st.tuples(st.sampled_from([-1, 0, 1]), st.floats(0, 8), st.floats(0.5, 4))
+
+
+@settings(max_examples=500, deadline=None)
+@given(vehicles, st.floats(0, 12), st.floats(0, 12), st.sampled_from([(1, -1), (0, 1), (1, 0), (0, -1)]), wishes,
+       st.lists(st.floats(-5, 5), min_size=5, max_size=5), st.booleans())
+def test_whatever_the_state_the_wish_and_the_policy_what_is_done_is_in_the_safe_set(
+        others, speed, target, lanes, wish, logits, holding):
+    rows = [car(0, 500, lanes[0], speed)] + [
+        car(i + 1, 500 + x, lane, v if lane == 1 else -v, y) for i, (x, lane, v, y) in enumerate(others)]
+    rule, _ = judge(rows, LANES, target, *lanes)
+    wished, near = rule.copy(), [0] * 6
+    survey(rows, LANES, near)
+    narrow(wished, rows, near, LANES, target, *lanes, *wish)
+    meta, _ = choose(logits, wished, holding)
+    assert rule[meta] == OPEN
+    assert meta != MetaAction.EMERGENCY_BRAKE or all(r != OPEN for r in rule[:5])  # a wish alone never brakes
+
+
+def narrowed(rows, target_speed: float, wish_lane: int, wish_mps: float = 28.0, headway_s: float = 1.0,
+             lane: int = 1, previous: int = -1) -> set[int]:
+    rule, near = [OPEN] * 6, [0] * 12
+    survey(rows, HIGHWAY, near)
+    narrow(rule, rows, near, HIGHWAY, target_speed, lane, previous, wish_lane, wish_mps, headway_s)
+    return {a for a in range(5) if rule[a] == NOT_WISHED}
+
+
+def test_an_open_change_to_the_wished_lane_is_all_that_is_left():
+    assert narrowed([car(0, 500, 1, 20)], 20.0, 3) == set(range(5)) - {MetaAction.RIGHT}
+
+
+def test_nobody_leaves_the_wished_lane_or_drives_faster_than_wished():
+    assert narrowed([car(0, 500, 1, 20)], 20.0, 1, 20.0) == {
+        MetaAction.SPEED_UP, MetaAction.LEFT, MetaAction.RIGHT}
+    assert MetaAction.CRUISE in narrowed([car(0, 500, 1, 20)], 20.0, 1, 15.0)
+
+
+def test_the_wished_headway_limits_the_speed_behind_a_leader():
+    rows = [car(0, 500, 1, 20), car(1, 535, 1, 20)]  # 30 m, 1.5 s
+    assert MetaAction.CRUISE not in narrowed(rows, 20.0, 1, 28.0, 1.0)
+    assert MetaAction.CRUISE in narrowed(rows, 20.0, 1, 28.0, 2.5)
+
+
+def test_a_change_that_can_go_on_is_not_given_up():
+    assert MetaAction.RIGHT in narrowed([car(0, 500, 1, 20)], 20.0, -1, lane=1, previous=2)
+
+
+def test_a_car_that_stands_askew_is_as_wide_as_it_is():
+    rows = [car(0, 500, 1, 10), car(1, 515, 2, 0, y=7.0)]
+    assert MetaAction.CRUISE not in closed_on(RAMP, rows, 1)
+    rows[1][5] = 0.9
+    assert MetaAction.CRUISE in closed_on(RAMP, rows, 1)
 
 
 @settings(max_examples=200, deadline=None)
