@@ -80,6 +80,8 @@ def run(
     realtime: Annotated[str, typer.Option(
         help="Scheduling of sim and fast: fifo (real-time, where permitted), user (what a plain user may), off, or "
              "auto: the best there is.")] = "auto",
+    checkpoint: Annotated[Path | None, typer.Option(
+        metavar="FILE", help="The policy that drives.", show_default="the shipped one")] = None,
 ) -> None:
     """Start the simulator, the fast and the slow node and the language model, and watch over them."""
     from deploy.processes import NAMES, RunOptions
@@ -95,7 +97,8 @@ def run(
 
     raise typer.Exit(run_system(RunOptions(
         scenario=scenario, seed=seed, duration_s=duration, port=port, say=say, say_at_s=say_at, as_json=as_json,
-        without=tuple(without or ()), realtime=realtime, density=density, noise_m=noise_m, noise_mps=noise_mps,
+        without=tuple(without or ()), realtime=realtime, checkpoint=checkpoint,
+        density=density, noise_m=noise_m, noise_mps=noise_mps,
         dropout=dropout)))
 
 
@@ -145,6 +148,8 @@ def train(
     seed: Annotated[int, typer.Option(min=0, help="Of the network, the traffic and the directives.")] = 0,
     resume: Annotated[bool, typer.Option(
         "--resume", help="Go on where an interrupted run to --out was last saved, in new traffic.")] = False,
+    mask_preset: Annotated[str, typer.Option(
+        help="What the mask assumes of others, in training and in driving: sim or cautious.")] = "sim",
 ) -> None:
     """Learn one policy for the given roads (some minutes on one core)."""
     from schemas.process import CONFIG, ConfigError
@@ -152,7 +157,8 @@ def train(
     try:
         from deploy.training import train_policy
 
-        figures = train_policy(out, scenario or ["highway", "merge", "two-way"], steps, seed, resume=resume)
+        figures = train_policy(out, scenario or ["highway", "merge", "two-way"], steps, seed, resume=resume,
+                               preset=mask_preset)
     except ImportError as error:
         typer.echo(f"fastslow: {error.name} is missing: pip install 'fastslow[train]'", err=True)
         raise typer.Exit(CONFIG) from None
@@ -160,7 +166,7 @@ def train(
         typer.echo(f"fastslow: {error}", err=True)
         raise typer.Exit(CONFIG) from None
     except ValueError as error:
-        raise typer.BadParameter(str(error), param_hint="'--scenario'") from None
+        raise typer.BadParameter(str(error)) from None
     typer.echo(f"{out}: return {figures['episodic_return']:.2f}, crashes {figures['crash_rate']:.1%}", err=True)
 
 
@@ -214,6 +220,8 @@ def evaluate(
     episodes: Annotated[int, typer.Option(min=1, help="How many, with seeds from 1000.")] = 100,
     directive: Annotated[str, typer.Option(
         help="Asked for: full speed in any lane (hurry), in a drawn lane (lane), or any wish (random).")] = "hurry",
+    wish: Annotated[float | None, typer.Option(
+        min=0.0, metavar="MPS", help="Wish for this speed instead.", show_default="as the directive has it")] = None,
     as_json: Json = False,
 ) -> None:
     """Drive episodes on seeds that training never saw, and print what came of it with 95 % intervals."""
@@ -226,7 +234,8 @@ def evaluate(
         result = evaluate_all(
             list(AGENTS) if everything else agent or ["ours"],
             list(SCENARIOS) if everything else scenario or ["highway", "merge", "two-way"],
-            episodes, checkpoint=checkpoint, directive=directive, progress=lambda text: typer.echo(text, err=True))
+            episodes, checkpoint=checkpoint, directive=directive, wish_mps=wish,
+            progress=lambda text: typer.echo(text, err=True))
     except ImportError as error:
         typer.echo(f"fastslow: {error.name} is missing: pip install 'fastslow[train]'", err=True)
         raise typer.Exit(CONFIG) from None
@@ -247,7 +256,9 @@ def interpret(
         "--input", help='JSON lines {"id", "text", "scene"?}; "-": stdin.')] = None,
     output: Annotated[str, typer.Option(help='Where the JSON lines go; "-": stdout.')] = "-",
     scene: Annotated[Path | None, typer.Option(help="The scene of lines without one.", show_default="4 lanes")] = None,
-    score: Annotated[bool, typer.Option("--score", help="Interpret and score the development set instead.")] = False,
+    score: Annotated[bool, typer.Option("--score", help="Interpret and score a set of our own instead.")] = False,
+    which: Annotated[str, typer.Option(
+        "--set", help="To score: dev, or blind, which is an exam: not for choosing by.")] = "dev",
     experiment: Annotated[str | None, typer.Option(help="memory: the model with 0, 2, 4 recalled examples.")] = None,
     per_kind: Annotated[int | None, typer.Option(
         min=1, help="Only so many of each kind of the set, the same ones every time.")] = None,
@@ -270,9 +281,11 @@ def interpret(
         if experiment != "memory":
             raise typer.BadParameter(f"{experiment}: there is only memory", param_hint="'--experiment'")
         raise typer.Exit(task.memory_experiment(as_json=as_json, per_kind=per_kind, threads=threads))
+    if which not in task.SETS:
+        raise typer.BadParameter(f"{which}: choose from {', '.join(task.SETS)}", param_hint="'--set'")
     if score:
-        raise typer.Exit(task.score_development_set(
-            as_json=as_json, per_kind=per_kind, output=output, ask=ask, reader=reader, k=k, threads=threads))
+        raise typer.Exit(task.score_set(
+            which, as_json=as_json, per_kind=per_kind, output=output, ask=ask, reader=reader, k=k, threads=threads))
     if source is None:
         raise typer.BadParameter('give a file or "-", or --score', param_hint="'--input'")
     raise typer.Exit(task.batch(source, output, scene, ask=ask, reader=reader, k=k, threads=threads))

@@ -40,14 +40,14 @@ def wilson95(successes: int, n: int) -> tuple[float, float]:
     return max(0.0, centre - half), min(1.0, centre + half)
 
 
-def task_of(scenario: Scenario) -> Task:
-    """The scenario as the fast system's training and evaluation see it."""
+def task_of(scenario: Scenario, preset: str = "sim") -> Task:
+    """The scenario as the fast system's training and evaluation see it, behind a mask with this preset."""
     ceiling = scenario.ego.speed_ceiling_mps
     return Task(
         name=scenario.name, lanes=np.array(lane_table(scenario.lanes_at(0.0))),
         sight_m=scenario.sight_m, speed_range=0.5 * ceiling, duration_ticks=round(scenario.duration_s * 15),
         goal=(scenario.success.reach_x_m, scenario.success.reach_lanes, scenario.end_x_m),
-        draw=lambda rng, rows, home: draw_wish(rng, scenario, rows, home))
+        draw=lambda rng, rows, home: draw_wish(rng, scenario, rows, home), preset=preset)
 
 
 def constant(action: MetaAction) -> Logits:
@@ -98,9 +98,10 @@ def load(world: Batched, fleet: Fleet, scenario: Scenario, scene: int, seed: int
 
 def drive(
     agent: str, scenario: Scenario, seeds: Sequence[int], *, checkpoint: Path | None = None,
-    directive: str = "hurry",
+    directive: str = "hurry", wish_mps: float | None = None,
 ) -> list[EpisodeResult]:
-    """One episode per seed, with that seed's traffic and a directive from the start (see `Directive`).
+    """One episode per seed, with that seed's traffic and a directive from the start (see `Directive`), and with
+    another wished speed than that where one is given.
 
     Raises `ConfigError` for an unusable checkpoint and ValueError for an unknown agent.
     """
@@ -110,11 +111,15 @@ def drive(
         raise ValueError(f"agent {agent!r} is not one of: {', '.join([*AGENTS, *LANGUAGE])}")
     n = len(seeds)
     world = Batched(scenario, n, 0, ego="idm" if agent == "idm" else "executor")
-    fleet = Fleet(world, task_of(scenario), masked=agent in MASKED)
+    policy = load_policy(checkpoint or SHIPPED)
+    preset = str(policy.sidecar["mask_preset"])
+    fleet = Fleet(world, task_of(scenario, preset), masked=agent in MASKED)
     for i, seed in enumerate(seeds):
         load(world, fleet, scenario, i, seed, directive)
+    if wish_mps is not None:
+        fleet.v_des[:] = wish_mps
     if agent.startswith("ours"):
-        logits: Logits = load_policy(checkpoint or SHIPPED).logits
+        logits: Logits = policy.logits
     elif agent == "rule":
         logits = rule_logits
     elif agent == "random":
@@ -166,7 +171,7 @@ def _drive_language(
 
 def evaluate_all(
     agents: Sequence[str], scenarios: Sequence[str], episodes: int, *, checkpoint: Path | None = None,
-    directive: str = "hurry", progress: Callable[[str], None] = lambda _: None,
+    directive: str = "hurry", wish_mps: float | None = None, progress: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """A row per agent and scenario, over the seeds from `FIRST_SEED`; per scenario the seeds that nobody survived."""
     rows, unsurvived = [], {}
@@ -181,14 +186,15 @@ def evaluate_all(
             if agent in LANGUAGE:
                 results, more["llm"] = _drive_language(agent, SCENARIOS[name], seeds, directive)
             else:
-                results = drive(agent, SCENARIOS[name], seeds, checkpoint=checkpoint, directive=directive)
+                results = drive(agent, SCENARIOS[name], seeds, checkpoint=checkpoint, directive=directive,
+                                wish_mps=wish_mps)
             died &= {i for i, r in enumerate(results) if r.collided}
             good = sum(r.success for r in results)
             rows.append({
                 "agent": agent, "scenario": name, "speed_set": SCENARIOS[name].speed_set, "first_seed": FIRST_SEED,
                 "success_ci95": wilson95(good, episodes), **summarise(results), **more})
         unsurvived[name] = sorted(FIRST_SEED + i for i in died)
-    return {"schema": SCHEMA, "directive": directive, "rows": rows, "unsurvived": unsurvived}
+    return {"schema": SCHEMA, "directive": directive, "wish_mps": wish_mps, "rows": rows, "unsurvived": unsurvived}
 
 
 def table(result: dict[str, Any]) -> str:

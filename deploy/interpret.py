@@ -35,6 +35,8 @@ NO_SLOTS: dict[str, Any] = {"speed": None, "target_speed_mps": None, "lane": Non
                             "overtake": None, "cancel": False}
 MODEL_START_S = 30.0
 MAX_TEXT = 3000
+SETS = ("dev", "blind")
+"""Labelled commands in `slow_node/evaluation`."""
 
 Ask = Literal["auto", "always", "unsure", "never"]
 
@@ -281,11 +283,11 @@ def measure(gold: list[dict[str, Any]], **options: Any) -> dict[str, Any]:
     }
 
 
-def development_set(per_kind: int | None = None) -> list[dict[str, Any]]:
-    """The labelled commands, or so many of every kind, drawn with a fixed seed: the same ones every time."""
+def labelled_set(name: str, per_kind: int | None = None) -> list[dict[str, Any]]:
+    """The labelled commands of one of `SETS`, or so many of every kind, the same ones every time."""
     from slow_node.evaluation.score import DEV_SET, read_lines
 
-    rows = read_lines(DEV_SET)
+    rows = read_lines(DEV_SET.with_name(f"{name}.jsonl"))
     if per_kind is None:
         return rows
     draw = random.Random(0)
@@ -293,12 +295,12 @@ def development_set(per_kind: int | None = None) -> list[dict[str, Any]]:
     return [row for of_kind in kinds.values() for row in draw.sample(of_kind, min(per_kind, len(of_kind)))]
 
 
-def score_development_set(*, as_json: bool, per_kind: int | None, output: str, **options: Any) -> int:
+def score_set(name: str, *, as_json: bool, per_kind: int | None, output: str, **options: Any) -> int:
     """`fastslow interpret --score`. Exit code."""
     from slow_node.evaluation.score import table
 
     try:
-        result = measure(development_set(per_kind), **options)
+        result = measure(labelled_set(name, per_kind), **options)
     except ConfigError as error:
         print(f"fastslow: {error}", file=sys.stderr)
         return CONFIG
@@ -319,7 +321,7 @@ MEMORIES = (("k = 0", 0, False), ("k = 2", 2, False), ("k = 4", 4, False), ("k =
 
 def memory_experiment(*, as_json: bool, per_kind: int | None, threads: int) -> int:
     """The language model alone, behind the rules, with 0, 2, 4 recalled examples and an empty bank. Exit code."""
-    gold = development_set(per_kind)
+    gold = labelled_set("dev", per_kind)
     found = []
     for name, k, empty in MEMORIES:
         print(name, file=sys.stderr)

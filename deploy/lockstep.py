@@ -58,7 +58,7 @@ def run_episode(
     bus = LocalBus()
     observations, actions = bus.subscribe(topics.OBSERVATION), bus.subscribe(topics.ACTION)
     directives = bus.subscribe(topics.DIRECTIVE)
-    sim, fast = SimNode(SimConfig(scenario=scenario, seed=seed)), FastNode(FastConfig(), policy)
+    sim, fast = SimNode(SimConfig(scenario=scenario, seed=seed)), FastNode(FastConfig(), policy, policy.preset)
     episode = Episode(seed)
     sim.reset(1)
     bus.publish(topics.OBSERVATION, sim.observation(0))

@@ -70,6 +70,8 @@ class RunOptions:
     as_json: bool = False
     without: tuple[str, ...] = ()
     realtime: Mode = "auto"
+    checkpoint: Path | None = None
+    """The policy that drives; None: the shipped one."""
     trace: Path | None = None
     """A folder for the stamps of every tick of sim and fast."""
 
@@ -140,6 +142,9 @@ def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Pro
     sim: dict[str, object] = {
         **critical("sim", "fast"), "scenario": options.scenario, "seed": options.seed, "density": options.density,
         "noise_m": options.noise_m, "noise_mps": options.noise_mps, "dropout": options.dropout}
+    fast = critical("fast")
+    if options.checkpoint is not None:
+        fast["policy"] = str(options.checkpoint.absolute())
     if options.duration_s is not None:
         sim["duration_s"] = options.duration_s
     slow: dict[str, object] = {
@@ -151,7 +156,7 @@ def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Pro
         "memory_path": str(data_folder() / "memory.sqlite"),
     }
     table = [
-        Process(name="fast", argv=_node("fast_node", critical("fast")), critical=True),
+        Process(name="fast", argv=_node("fast_node", fast), critical=True),
         # The road begins once somebody is there to answer its first tick; hence it is the simulator that links to the
         # fast node, whose socket is there already, and not the other way round, after a retry.
         Process(name="sim", argv=_node("sim_node", sim), critical=True, needs=("fast",), finishes=True),

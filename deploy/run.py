@@ -150,6 +150,7 @@ class _Run:
             self._summary.status(status)
         for observation in self._observations.take():
             self._live.observation(observation)
+            self._summary.observation(observation)
         for action in self._actions.take():
             self._live.action(action)
         for directive in self._directives.take():

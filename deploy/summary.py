@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 from schemas.clock import NS
-from schemas.messages import Command, Event, Reply, Status
+from schemas.messages import Command, Event, Observation, Reply, Status
 
 SCHEMA = "fastslow.run/1"
 _COUNTED = ("ticks", "answered", "missed", "collisions", "failsafes", "episodes", "skipped")
+KEPT = 500
+"""Events and lane changes in the summary, the first ones."""
 
 
 @dataclass
@@ -34,10 +36,13 @@ class Summary:
         """The newest figures of each simulator process: a restarted one counts from 0 again."""
         self._said: dict[int, Said] = {}
         self._vetoes = 0
+        self._events: list[dict[str, object]] = []
+        self._lanes: list[dict[str, object]] = []
 
     def begin(self, start_ns: int) -> None:
         """The run begins now: times count from here."""
         self._start_ns = start_ns
+        self._lanes.clear()
 
     def command(self, command: Command) -> None:
         self._of(command.id, command.text).said_s = self._at(command.stamp_ns)
@@ -57,6 +62,16 @@ class Summary:
 
     def event(self, event: Event) -> None:
         self._vetoes += event.kind == "vetoed"
+        if len(self._events) < KEPT:
+            self._events.append({"at_s": self._at(event.stamp_ns), "kind": event.kind, "rule": event.rule,
+                                 "vehicle": event.vehicle, "command_id": event.command_id})
+
+    def observation(self, observation: Observation) -> None:
+        """Keeps when the ego began to aim for another lane, and when it was there."""
+        lane, there = observation.target_lane, observation.previous_lane < 0
+        if len(self._lanes) < KEPT and (not self._lanes or (self._lanes[-1]["lane"], self._lanes[-1]["there"]) != (
+                lane, there)):
+            self._lanes.append({"at_s": self._at(observation.stamp_ns), "lane": lane, "there": there})
 
     def status(self, status: Status) -> None:
         if status.node == "sim":
@@ -83,4 +98,6 @@ class Summary:
             "latency_us": {"p50": newest.get("rtt_p50_us"), "p99": newest.get("rtt_p99_us")},
             "commands": [asdict(said) for said in self._said.values()],
             "vetoes": self._vetoes,
+            "events": self._events,
+            "lanes": self._lanes,
         }

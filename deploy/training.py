@@ -16,6 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from deploy.evaluate import overtake_on, task_of
 from fast_node.coordination import ASSERTIVE_HEADWAY_S
+from fast_node.mask import PRESETS
 from fast_node.training.rollout import Mixed, Scenes
 from schemas.wish import ANY_LANE
 from sim_node.engine.batched import Batched
@@ -48,9 +49,10 @@ class HurriedScenes(Scenes):
 
 def scenes_of(
     scenario: Scenario, scenes: int, world_seed: int, wish_seed: int, *, hurried: bool = False, masked: bool = True,
+    preset: str = "sim",
 ) -> Scenes:
     """Scenes to learn or to be measured in: with random directives, or in a hurry; behind the mask, or not."""
-    task = task_of(scenario)
+    task = task_of(scenario, preset)
     if not hurried:
         return Scenes(Batched(scenario, scenes, world_seed), task, wish_seed, masked=masked)
     task = replace(task, draw=partial(hurry, scenario))
@@ -59,34 +61,36 @@ def scenes_of(
 
 def mixed_scenes(
     scenarios: Sequence[str], seed: int, *, scenes: int = SCENES, after: int = 0, hurried: bool = False,
-    masked: bool = True,
+    masked: bool = True, preset: str = "sim",
 ) -> Mixed:
     """What a run with this seed learns in; `after` so many decisions it has other worlds than before.
 
-    Raises ValueError for an unknown scenario.
+    Raises ValueError for an unknown scenario or preset of the mask.
     """
+    if preset not in PRESETS:
+        raise ValueError(f"{preset}: choose from {', '.join(PRESETS)}")
     unknown = sorted(set(scenarios) - set(SCENARIOS))
     if unknown:
         raise ValueError(f"{', '.join(unknown)}: choose from {', '.join(SCENARIOS)}")
     each, fresh = max(scenes // len(scenarios), 1), 10**8 * after
     return Mixed([
         scenes_of(SCENARIOS[name], each, 10_000_000 + 1000 * seed + k + fresh, 1000 * seed + k + fresh,
-                  hurried=hurried, masked=masked)
+                  hurried=hurried, masked=masked, preset=preset)
         for k, name in enumerate(scenarios)])
 
 
 def train_policy(
-    out: Path, scenarios: Sequence[str], steps: int, seed: int, *, resume: bool = False
+    out: Path, scenarios: Sequence[str], steps: int, seed: int, *, resume: bool = False, preset: str = "sim",
 ) -> dict[str, float]:
     """Train one policy on these scenarios and export it, with a progress bar on stderr.
 
     `resume` goes on where an interrupted run to the same `out` was last saved, in new worlds. Raises ImportError
-    without extra `train`, ValueError for an unknown scenario, and `ConfigError` where there is nothing to resume.
+    without extra `train`, ValueError for an unknown scenario or preset, `ConfigError` where there is nothing to resume.
     """
     from fast_node.training.train import saved_state, train
 
     after = saved_state(out)["steps"] if resume else 0
-    scenes = mixed_scenes(scenarios, seed, after=after)
+    scenes = mixed_scenes(scenarios, seed, after=after, preset=preset)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(file=sys.stderr)) as bar:
         task = bar.add_task("learning", total=steps, completed=after)

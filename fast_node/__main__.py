@@ -61,7 +61,7 @@ def time_parts(policy: object) -> dict[str, int]:
 def main() -> None:
     config = load_config(FastConfig, sys.argv[1:])
     policy = load_policy(Path(config.policy) if config.policy else SHIPPED)
-    node, understudy = FastNode(config, policy), FastNode(config, policy)
+    node, understudy = (FastNode(config, policy, policy.preset) for _ in range(2))
     warm_up(understudy)
     trace, spent = Trace(config.trace), time_parts(policy) if config.trace else {}
     scheduling = claim(config.realtime)

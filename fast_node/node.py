@@ -7,7 +7,7 @@ import math
 from fast_node.choice import HELD, SOURCES, choose, narrow
 from fast_node.config import FastConfig
 from fast_node.coordination import Coordination
-from fast_node.mask import OPEN, PRESETS, RULES, close_actions, lane_table
+from fast_node.mask import OPEN, PRESETS, RULES, Preset, close_actions, lane_table
 from fast_node.policy import Policy
 from schemas.codec import rows_of
 from schemas.features import N_ROWS, Array, features
@@ -18,9 +18,9 @@ from schemas.wish import ANY_LANE, Wish
 class FastNode:
     """`step` turns an observation and the newest directive into an action and events."""
 
-    def __init__(self, config: FastConfig, policy: Policy) -> None:
-        self._config, self._policy = config, policy
-        self._preset = PRESETS[config.mask_preset]
+    def __init__(self, config: FastConfig, policy: Policy, preset: Preset = PRESETS["sim"]) -> None:
+        """`preset`: of the mask; the one that the policy was trained behind."""
+        self._config, self._policy, self._preset = config, policy, preset
         self._coordination = Coordination(config.default_headway_s)
         self._wish: Wish | None = None
         self._decided_tick = -(10**9)

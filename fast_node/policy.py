@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load_file
 
+from fast_node.mask import PRESETS
 from fast_node.mask import VERSION as MASK_VERSION
 from schemas.features import LAYOUT_HASH
 from schemas.process import ConfigError
@@ -33,6 +34,8 @@ class Policy:
 
     def __init__(self, weights: dict[str, Array], sidecar: dict[str, object]) -> None:
         self.sidecar = sidecar
+        self.preset = PRESETS[str(sidecar["mask_preset"])]
+        """Of the mask that it was trained behind."""
         self._heads = int(str(sidecar["heads"]))
         layers = int(str(sidecar["layers"]))
         w = {name: array.astype(np.float64) for name, array in weights.items()}
@@ -140,4 +143,6 @@ def load_policy(path: Path = SHIPPED) -> Policy:
     for name, want in (("layout_hash", LAYOUT_HASH), ("mask", MASK_VERSION)):
         if sidecar.get(name) != want:
             raise ConfigError(f"{path.name} has {name} {sidecar.get(name)!r}, this code {want!r}: train anew")
+    if (preset := sidecar.setdefault("mask_preset", "sim")) not in PRESETS:
+        raise ConfigError(f"{path.name} has mask_preset {preset!r}, this code {', '.join(PRESETS)}: train anew")
     return Policy(weights, sidecar)

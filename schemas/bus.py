@@ -52,6 +52,14 @@ class Subscription(Protocol[T]):
         """The next message, blocking until there is one. Signal handlers run meanwhile, and may raise."""
         ...
 
+    def poll(self, until_ns: int) -> T | None:
+        """The next message if one comes before CLOCK_MONOTONIC `until_ns`, looking for it without ever sleeping.
+
+        A core that sleeps must be woken first. Only for SCHED_FIFO, which zenoh's thread has to share: it then runs
+        between two looks, even on the same core.
+        """
+        ...
+
     def take(self) -> list[T]:
         """All messages that have arrived since the last call, oldest first. Never waits."""
         ...
@@ -82,8 +90,9 @@ class _Decoding(Generic[M]):
     """Decodes what another subscription of bytes yields; counts and drops what cannot be used."""
 
     def __init__(self, bus: Bus, topic: Topic[M], raw: Subscription[bytes],
-                 rehearse: Callable[[M], None] | None = None) -> None:
+                 rehearse: Callable[[M], None] | None = None, poll_ns: int = 0) -> None:
         self._bus, self._topic, self._raw, self._rehearse = bus, topic, raw, rehearse
+        self._poll_ns = poll_ns
         self._newest: M | None = None
         self._payload = b""
         self.arrived_ns = 0
@@ -100,9 +109,19 @@ class _Decoding(Generic[M]):
             return None
         return self._newest
 
+    def poll(self, until_ns: int) -> M | None:
+        while (payload := self._raw.poll(until_ns)) is not None:
+            if (message := self._decoded(payload)) is not None:
+                self._payload = payload
+                return message
+        return None
+
     def wait(self) -> M:
+        poll_until_ns = 0
         while True:
-            payload = self._raw.wait()
+            payload = self._raw.poll(poll_until_ns)
+            if payload is None:
+                payload = self._raw.wait()
             self.arrived_ns = time.monotonic_ns()
             message = self._decoded(payload)
             if message is not None:
@@ -110,6 +129,7 @@ class _Decoding(Generic[M]):
                 return message
             if not payload and self._payload and self._rehearse is not None:
                 self._rehearse(decode(self._topic, self._payload))
+                poll_until_ns = time.monotonic_ns() + self._poll_ns
 
     def take(self) -> list[M]:
         return [m for m in map(self._decoded, self._raw.take()) if m is not None]
@@ -130,6 +150,14 @@ class _ZenohBytes:
     def wait(self) -> bytes:
         payload: bytes = self._handler.recv().payload.to_bytes()
         return payload
+
+    def poll(self, until_ns: int) -> bytes | None:
+        while (sample := self._handler.try_recv()) is None:
+            if time.monotonic_ns() >= until_ns:
+                return None
+            os.sched_yield()
+        polled: bytes = sample.payload.to_bytes()
+        return polled
 
     def take(self) -> list[bytes]:
         payloads: list[bytes] = []
@@ -192,12 +220,14 @@ class ZenohBus:
     def subscribe(self, topic: Topic[M]) -> Subscription[M]:
         return _Decoding(self, topic, self.subscribe_bytes(topic))
 
-    def subscribe_rehearsed(self, topic: Topic[M], rehearse: Callable[[M], None]) -> _Decoding[M]:
+    def subscribe_rehearsed(self, topic: Topic[M], rehearse: Callable[[M], None], poll_ns: int = 0) -> _Decoding[M]:
         """Like `subscribe`, and `wait` also calls `rehearse` with the last message when the next one is announced.
 
         The announcement takes the way of the message, through the same ring, and so wakes all that it will need.
+        After one, `wait` polls for `poll_ns` before it sleeps.
         """
-        return _Decoding(self, topic, self._ring_on(f"{topic.key}/**", topic.depth), rehearse)  # a/**: a, a/b, ...
+        ring = self._ring_on(f"{topic.key}/**", topic.depth)  # a/**: a, a/b, ...
+        return _Decoding(self, topic, ring, rehearse, poll_ns)
 
     def subscribe_bytes(self, topic: Topic[Any]) -> Subscription[bytes]:
         return self._ring_on(topic.key, topic.depth)
@@ -284,6 +314,9 @@ class _LocalRing:
         if not self.ring:
             raise BusError("nothing was published: an in-process bus cannot wait")
         return self.ring.popleft()
+
+    def poll(self, until_ns: int) -> bytes | None:
+        return self.ring.popleft() if self.ring else None
 
     def take(self) -> list[bytes]:
         taken = list(self.ring)

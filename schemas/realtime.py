@@ -12,6 +12,8 @@ MODES: tuple[Mode, ...] = ("auto", "fifo", "user", "off")
 PRIORITY = 50
 """Of SCHED_FIFO: above every normal process, below the kernel's own threads. Nodes sleep most of the time, and Linux
 keeps 5 % of each core for the others whatever they do."""
+FIFO = f"SCHED_FIFO {PRIORITY}"
+"""What `claim` says where it got that."""
 NICE = -15
 
 
@@ -41,7 +43,7 @@ def claim(mode: Mode) -> str:
     try:
         if resolved == "fifo":
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-            return f"SCHED_FIFO {PRIORITY}"
+            return FIFO
         if resolved == "user":
             os.setpriority(os.PRIO_PROCESS, 0, NICE)
             _weigh_session(NICE)

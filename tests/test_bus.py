@@ -14,6 +14,7 @@ import pytest
 from deploy.processes import free_port
 from schemas import topics
 from schemas.bus import BusConfig, BusError, LocalBus, open_bus
+from schemas.clock import NS
 from schemas.messages import Command, Directive
 from schemas.topics import Topic
 
@@ -126,6 +127,38 @@ def test_an_announced_message_is_rehearsed_with_the_last_one(folder: Path) -> No
         a.publish(topics.DIRECTIVE, directive(2))
         waiting.join(5.0)
         assert set(rehearsed) == {1}
+
+
+def test_polling_returns_the_newest_message_or_gives_up(folder: Path) -> None:
+    with open_bus(peer(folder, "a")) as a, open_bus(peer(folder, "b", "a")) as b:
+        reader = b.subscribe(topics.DIRECTIVE)
+        assert a.wait_for_reader(topics.DIRECTIVE, 5.0)
+        for number in range(1, 101):
+            a.publish(topics.DIRECTIVE, directive(number))
+        time.sleep(0.3)
+        message = reader.poll(time.monotonic_ns() + 5 * NS)
+        assert message is not None
+        assert message.id == 100
+        assert reader.poll(time.monotonic_ns() + NS // 1000) is None
+
+
+def test_a_reader_sleeps_once_it_has_polled_for_long_enough(folder: Path) -> None:
+    with open_bus(peer(folder, "a")) as a, open_bus(peer(folder, "b", "a")) as b:
+        rehearsed: list[int] = []
+        reader = b.subscribe_rehearsed(topics.DIRECTIVE, lambda last: rehearsed.append(last.id), poll_ns=NS // 1000)
+        assert a.wait_for_reader(topics.DIRECTIVE, 5.0)
+        a.publish(topics.DIRECTIVE, directive(1))
+        reader.wait()
+        seen: list[tuple[int, float]] = []
+        waiting = threading.Thread(target=lambda: seen.append((reader.wait().id, time.thread_time())))
+        waiting.start()
+        publish_until(lambda: a.announce_next(topics.DIRECTIVE), lambda: rehearsed)
+        time.sleep(1.0)
+        a.publish(topics.DIRECTIVE, directive(2))
+        waiting.join(5.0)
+        (number, busy_s), = seen
+        assert number == 2
+        assert busy_s < 0.2  # of the processor; polling on would take a second
 
 
 def test_an_announcement_is_no_message(folder: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from deploy.cli import app
-from deploy.interpret import DEFAULT_SCENE, LineError, development_set, scene_of
+from deploy.interpret import DEFAULT_SCENE, LineError, labelled_set, scene_of
 from slow_node.directive import Plan, Refusal, plan_of
 from slow_node.embedding import load_embedder
 from slow_node.numbers import SPELLING_LANGUAGES, quantities, spelled
@@ -140,11 +140,11 @@ def test_training_commands_are_reproducible_and_labelled() -> None:
     assert all(sample.label[head] in classes for sample in first for head, classes in HEADS.items())
 
 
-def test_a_part_of_the_development_set_is_the_same_at_every_call_and_has_every_kind() -> None:
-    part = development_set(3)
-    assert part == development_set(3)
+def test_a_part_of_the_labelled_set_is_the_same_at_every_call_and_has_every_kind() -> None:
+    part = labelled_set("dev", 3)
+    assert part == labelled_set("dev", 3)
     assert set(Counter(row["kind"] for row in part).values()) == {3}
-    assert len({row["kind"] for row in part}) == len({row["kind"] for row in development_set()})
+    assert len({row["kind"] for row in part}) == len({row["kind"] for row in labelled_set("dev")})
 
 
 def test_memory_is_listed_exported_imported_and_forgotten(tmp_path: Path) -> None:

@@ -284,9 +284,10 @@ def start(socket: Path, **config: object) -> subprocess.Popen[str]:
                             env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])})  # fmt: skip
 
 
-def test_the_process_ends_at_sigterm_and_says_nothing_else() -> None:
+@pytest.mark.parametrize("realtime", ["off", "auto"])
+def test_the_process_ends_at_sigterm_and_says_nothing_else(realtime: str) -> None:
     with tempfile.TemporaryDirectory(prefix="fs") as folder:  # a socket's path is short
-        process = start(Path(folder) / "s")
+        process = start(Path(folder) / "s", realtime=realtime)
         assert process.stderr is not None
         ready = json.loads(process.stderr.readline())
         assert ready["event"] == "ready"

@@ -22,6 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the node's own __main__
 import numpy as np
 import pytest
 from safetensors.numpy import save
+from scripted import ScriptedModel
 
 from schemas import topics
 from schemas.bus import LocalBus, Subscription
@@ -55,39 +56,6 @@ def observation(tick: int = 0, epoch: int = 1, lane: int = 1, x: float = 0.0, le
     rows = [(0, x, 4 * lane - 4, 5, 0, 0, 5, 2, lane), (1, lead_x, 0, 3.5, 0, 0, 5, 2, 1)]
     return Observation(epoch=epoch, stamp_ns=time.monotonic_ns(), tick=tick, scenario="two-way", lanes=lanes,
                        rows=np.array(rows, np.float32).tobytes(), target_lane=lane)
-
-
-class ScriptedModel:
-    """An OpenAI-compatible server on loopback that answers with what `script` makes of the newest user turn."""
-
-    def __init__(self, script: Callable[[str], str]) -> None:
-        self.prompts: list[str] = []
-        outer = self
-
-        class Handler(BaseHTTPRequestHandler):
-            def do_POST(self) -> None:
-                body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-                prompt = body["messages"][-1]["content"]
-                outer.prompts.append(prompt)
-                reply = json.dumps({"choices": [{"message": {"content": script(prompt)}}]}).encode()
-                try:
-                    self.send_response(200)
-                    self.send_header("Content-Length", str(len(reply)))
-                    self.end_headers()
-                    self.wfile.write(reply)
-                except OSError:
-                    pass  # the caller has hung up: superseded
-
-            def log_message(self, *_: object) -> None:
-                pass
-
-        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self.url = f"http://127.0.0.1:{self.server.server_address[1]}/v1"
-        threading.Thread(target=self.server.serve_forever, daemon=True).start()
-
-    def close(self) -> None:
-        self.server.shutdown()
-        self.server.server_close()
 
 
 @pytest.fixture

@@ -8,17 +8,22 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from scripted import ScriptedModel
 
 RUN = [sys.executable, "-m", "deploy", "run", "--port", "0", "--json", "--seed", "3"]
 ROOT = Path(__file__).parents[1]
 
 
-def start(tmp_path: Path, *more: str) -> subprocess.Popen[str]:
+HURRY = "I'm in a hurry to get to work, I want to drive faster"
+
+
+def start(tmp_path: Path, *more: str, **model_env: str) -> subprocess.Popen[str]:
     env = {k: v for k, v in os.environ.items() if not k.startswith("OPENAI_")}
-    env |= {"PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(tmp_path)}
+    env |= {"PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(tmp_path), **model_env}
     return subprocess.Popen([*RUN, *more], cwd=tmp_path, env=env, text=True, stdout=subprocess.PIPE,
                             stderr=subprocess.DEVNULL)
 
@@ -39,16 +44,35 @@ def child_of(parent: int, module: str, timeout_s: float = 30.0) -> int:
     raise AssertionError(f"no process {module}")
 
 
-@pytest.mark.timeout(150)
-def test_a_passenger_in_a_hurry_is_taken_past_the_slow_car(tmp_path):
-    running = start(tmp_path, "--duration", "70", "--say", "I'm in a hurry to get to work, I want to drive faster",
-                    "--say-at", "3")
-    out, _ = running.communicate(timeout=140)
+def hurried(prompt: str) -> str:
+    """What the scripted endpoint makes of anything: an overtake."""
+    return json.dumps({"reasoning": "in a hurry", "outcome": "directive", "speed": "faster", "overtake": True})
+
+
+@pytest.fixture(params=["embedded", "endpoint"])
+def model_env(request: pytest.FixtureRequest) -> Iterator[dict[str, str]]:
+    """What to set for the embedded model, and for an OpenAI-compatible endpoint."""
+    if request.param == "embedded":
+        yield {}
+        return
+    scripted = ScriptedModel(hurried)
+    yield {"OPENAI_API_KEY": "any", "OPENAI_BASE_URL": scripted.url}
+    assert scripted.prompts
+    scripted.close()
+
+
+@pytest.mark.timeout(120)
+def test_a_passenger_in_a_hurry_is_taken_past_the_slow_car_as_in_the_papers_case_study(tmp_path, model_env):
+    running = start(tmp_path, "--scenario", "two-way-case", "--duration", "32", "--say", HURRY, "--say-at", "0.6",
+                    **model_env)
+    out, _ = running.communicate(timeout=110)
     summary = json.loads(out)
     command = summary["commands"][0]
     assert running.returncode == 0
     assert (summary["collisions"], command["outcome"]) == (0, "fulfilled")
-    assert 3 <= command["heard_s"] <= command["issued_s"] <= command["fulfilled_s"]
+    assert command["heard_s"] <= command["issued_s"] <= command["fulfilled_s"]
+    assert [lane["lane"] for lane in summary["lanes"] if lane["there"]] == [1, 0, 1]
+    assert any(e["rule"] == "rear gap in lane" for e in summary["events"] if e["kind"] == "delayed")
 
 
 @pytest.mark.timeout(120)

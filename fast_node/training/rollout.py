@@ -141,15 +141,16 @@ class Task:
     """An episode is over beyond x = goal[0] in one of the lanes goal[1], and anywhere beyond goal[2]."""
     draw: Callable[[np.random.Generator, Array, int], tuple[int, int, float, float]]
     """A random directive for rows (V, 9) and a home lane: lane, id of the car to pass or -1, speed, headway."""
+    preset: str = "sim"
+    """Of the mask."""
 
 
 class Fleet:
     """S scenes of one task: what each ego sees, is asked for and may do now. Not `masked`: anything, always."""
 
-    preset = mask.PRESETS["sim"]
-
     def __init__(self, world: World, task: Task, *, masked: bool = True) -> None:
         self.world, self.task, self.masked = world, task, masked
+        self._preset = mask.PRESETS[task.preset]
         s, n = len(world.rows), len(task.lanes)
         self.lanes = np.repeat(task.lanes[None], s, axis=0)
         self.rule, self.vehicle = np.zeros((s, 6), np.int64), np.zeros((s, 6), np.int64)
@@ -167,7 +168,7 @@ class Fleet:
         self.lanes[:, :, 0] = w.lane_y
         self._rows[:] = w.rows
         _look_all(self._rows, self.lanes, w.target_speed, w.target_lane, w.previous_lane, self.task.sight_m,
-                  self.preset, self.told_lane, self.pass_id, self.v_des, self.headway, self.masked, self._near,
+                  self._preset, self.told_lane, self.pass_id, self.v_des, self.headway, self.masked, self._near,
                   self.rule, self.vehicle, self.wish, self.ttc_s, self.short)
 
     def observe(self) -> Array:

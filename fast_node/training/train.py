@@ -53,7 +53,8 @@ def train(
     config = config or LearnerConfig()
     net = ActorCritic(WIDTH, HEADS, LAYERS)
     optimizer = torch.optim.Adam(net.parameters(), lr=config.lr, eps=1e-5, fused=True)
-    run = {"seed": seed, "scenarios": [part.task.name for part in scenes.parts], "learner": asdict(config)}
+    run = {"seed": seed, "scenarios": [part.task.name for part in scenes.parts], "learner": asdict(config),
+           "mask_preset": scenes.parts[0].task.preset}
     done, resumed_at = 0, list[int]()
     if resume:
         saved = saved_state(out)
@@ -140,7 +141,7 @@ def _values(net: ActorCritic, x: Array) -> Array:
 
 
 def export(net: ActorCritic, out: Path, sidecar: dict[str, object], observations: int = 1000) -> None:
-    """Write weights and sidecar, and check the NumPy policy against torch; raises `ValueError` beyond 1e-4."""
+    """Write weights and sidecar, and check the NumPy policy against torch; raises `ValueError` beyond 1e-5."""
     out.parent.mkdir(parents=True, exist_ok=True)
     save_file({k: v.contiguous() for k, v in net.state_dict().items() if not k.startswith("value")}, out)
     out.with_suffix(".json").write_text(json.dumps({
@@ -151,7 +152,7 @@ def export(net: ActorCritic, out: Path, sidecar: dict[str, object], observations
     with torch.no_grad():
         expected = net(torch.from_numpy(x))[0].numpy()
     worst = max(float(np.abs(policy.logits(a) - b).max()) for a, b in zip(x, expected, strict=True))
-    if worst > 1e-4:
+    if worst > 1e-5:
         raise ValueError(f"the exported policy differs from the trained one by {worst:.1e}")
 
 
