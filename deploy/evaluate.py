@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -192,9 +193,18 @@ def evaluate_all(
             good = sum(r.success for r in results)
             rows.append({
                 "agent": agent, "scenario": name, "speed_set": SCENARIOS[name].speed_set, "first_seed": FIRST_SEED,
-                "success_ci95": wilson95(good, episodes), **summarise(results), **more})
+                "success_ci95": wilson95(good, episodes), **_numbers(summarise(results)), **more})
         unsurvived[name] = sorted(FIRST_SEED + i for i in died)
     return {"schema": SCHEMA, "directive": directive, "wish_mps": wish_mps, "rows": rows, "unsurvived": unsurvived}
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f}%"
+
+
+def _numbers(figures: dict[str, float]) -> dict[str, float | None]:
+    """With None for what is not a number, as JSON has it."""
+    return {name: None if math.isnan(value) else value for name, value in figures.items()}
 
 
 def table(result: dict[str, Any]) -> str:
@@ -207,7 +217,7 @@ def table(result: dict[str, Any]) -> str:
         lines.append(
             f"{r['scenario']:<16}{r['agent']:<14}{good:>22}{r['ego_fault_collisions']:>5}{r['struck_collisions']:>5}"
             f"{r['avg_speed']:>7.2f}{r['accel_var']:>7.2f}{r['min_ttc_mean']:>9.2f}{100 * r['lane_compliance']:>8.1f}%"
-            f"{100 * r['speed_compliance']:>8.1f}%{100 * r['override_share']:>7.1f}%")
+            f"{_percent(r['speed_compliance']):>9}{100 * r['override_share']:>7.1f}%")
     lines += [f"{name}: nobody survived {', '.join(map(str, seeds))}" for name, seeds in result["unsurvived"].items()
               if seeds and len(result["rows"]) > 1]
     return "\n".join(lines)

@@ -20,8 +20,10 @@ from schemas import topics
 from schemas.bus import open_bus
 from schemas.messages import ROW_COLUMNS, Lane, Observation
 from schemas.process import Heartbeat, Trace, load_config, log, run_node
-from schemas.realtime import claim
+from schemas.realtime import FIFO, claim
 
+POLL_NS = 1_000_000
+"""An observation is polled for this long after its announcement; the next announcement or it comes within 0.7 ms."""
 PARTS = ("close_actions", "features", "logits")
 """What the benchmark times within a step: the mask, the features, the policy."""
 
@@ -73,7 +75,7 @@ def main() -> None:
             understudy.step(last, directives.peek(), 0)
             bus.announce_next(topics.ACTION)
 
-        observations = bus.subscribe_rehearsed(topics.OBSERVATION, rehearse)
+        observations = bus.subscribe_rehearsed(topics.OBSERVATION, rehearse, POLL_NS if scheduling == FIFO else 0)
         directives = bus.subscribe(topics.DIRECTIVE)
         with Heartbeat(bus, "fast", lambda: {k: float(v) for k, v in node.counts.items()}) as heart:
             log("fast", "ready", realtime=scheduling)

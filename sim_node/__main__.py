@@ -77,8 +77,8 @@ class RoundTrips:
         if self._published[0] >= 0:
             self.missed += not 0 <= self._first_ns <= BUDGET_NS
             self._trace.add(*self._published, self._first_ns, observation.stamp_ns, observation.applied_tick)
-        # In this order: a late answer to the tick before must not be taken for one to this tick.
         self._prompt = 0 <= self._first_ns < POLL_NS
+        # In this order: a late answer to the tick before must not be taken for one to this tick.
         self._published = (observation.epoch, observation.tick, now_ns)
         self._first_ns = -1
 

@@ -258,6 +258,7 @@ def summarise(episodes: Sequence[EpisodeResult]) -> dict[str, float]:
     a_mean = sum(e.accel_sum for e in episodes) / total
     accel_var = max(sum(e.accel_square_sum for e in episodes) / total - a_mean**2, 0.0)
     ttc = np.array([e.min_ttc_s for e in episodes])
+    due = sum(e.speed_ticks for e in episodes)
     return {
         "episodes": len(episodes),
         "success": float(np.mean([e.success for e in episodes])),
@@ -269,8 +270,8 @@ def summarise(episodes: Sequence[EpisodeResult]) -> dict[str, float]:
         "min_ttc_p5": float(np.percentile(ttc, 5)), "headway_s": mean("headway_s"),
         "progress_m": mean("progress_m"), "lane_changes": mean("lane_changes"),
         "lane_compliance": float(np.mean([np.isfinite(e.time_to_comply_s) for e in episodes])),
-        "speed_compliance": sum(e.speed_complied for e in episodes) / max(sum(e.speed_ticks for e in episodes), 1),
-        "speed_ticks": sum(e.speed_ticks for e in episodes),
+        "speed_compliance": sum(e.speed_complied for e in episodes) / due if due else float("nan"),
+        "speed_ticks": due,
         "time_to_comply_s": mean("time_to_comply_s"), "in_wished_lane": weighted("in_lane"),
         "override_share": weighted("override_share"),
     }
