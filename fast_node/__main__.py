@@ -20,7 +20,7 @@ from schemas import topics
 from schemas.bus import open_bus
 from schemas.messages import ROW_COLUMNS, Lane, Observation
 from schemas.process import Heartbeat, Trace, load_config, log, run_node
-from schemas.realtime import FIFO, claim
+from schemas.realtime import claim, may_poll
 
 POLL_NS = 1_000_000
 """An observation is polled for this long after its announcement; the next announcement or it comes within 0.7 ms."""
@@ -75,7 +75,7 @@ def main() -> None:
             understudy.step(last, directives.peek(), 0)
             bus.announce_next(topics.ACTION)
 
-        observations = bus.subscribe_rehearsed(topics.OBSERVATION, rehearse, POLL_NS if scheduling == FIFO else 0)
+        observations = bus.subscribe_rehearsed(topics.OBSERVATION, rehearse, POLL_NS if may_poll(scheduling) else 0)
         directives = bus.subscribe(topics.DIRECTIVE)
         with Heartbeat(bus, "fast", lambda: {k: float(v) for k, v in node.counts.items()}) as heart:
             log("fast", "ready", realtime=scheduling)

@@ -41,7 +41,7 @@ def narrow(
     longest = 0.0
     for k in range(len(lanes)):
         longest = max(longest, lanes[k][2])
-    if wish_lane >= 0 and wish_lane != target_lane:
+    if wish_lane >= 0 and wish_lane != target_lane and previous_lane < 0:
         side = LEFT if wish_lane < target_lane else RIGHT
         if rule[side] == OPEN and lanes[target_lane + (1 if side == RIGHT else -1)][2] == longest:
             for a in range(POLICY_ACTIONS):

@@ -68,6 +68,8 @@ COMES_OUT_M = 150.0
 """This near to the end of its lane a car may come out of it at any time."""
 MEET_S = 0.8
 """Cars that will overlap laterally within this time count as if they did."""
+ASKEW = 0.1
+"""Sine of the heading from which on a car may take up room in the next lane."""
 SIDE_M = 0.3
 """Cars closer than this to overlapping laterally count as in each other's way."""
 PASS_ACCEL = 0.7
@@ -150,8 +152,8 @@ def half_width(row: Any) -> float:
 def survey(rows: Any, lanes: Any, near: Any) -> None:
     """Fill near[3 * lane + (0, 1, 2)] with the row of the nearest car ahead, behind, and oncoming ahead; -1: none.
 
-    A car that moves sideways is in the lane it comes to as well, and one that may come out of a lane that ends is in
-    the lane to its left.
+    A car that moves sideways is in the lane it comes to as well, one that stands askew in the lane it reaches into, and
+    one that may come out of a lane that ends in the lane to its left.
     """
     n_lanes = len(lanes)
     longest = 0.0
@@ -176,6 +178,11 @@ def survey(rows: Any, lanes: Any, near: Any) -> None:
         if other == lane and lane > 0 and lanes[lane][2] < longest and row[1] > lanes[lane][6] and (
                 row[1] > lanes[lane][2] - COMES_OUT_M):
             other = lane - 1
+        if other == lane and abs(math.sin(row[5])) > ASKEW:
+            half = half_width(row) + 0.5 * rows[0][7]
+            for aside in (lane - 1, lane + 1):
+                if 0 <= aside < n_lanes and abs(row[2] - lanes[aside][0]) < half:
+                    other = aside
         while True:
             k = 3 * lane
             if row[3] < -0.1:

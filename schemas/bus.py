@@ -55,8 +55,7 @@ class Subscription(Protocol[T]):
     def poll(self, until_ns: int) -> T | None:
         """The next message if one comes before CLOCK_MONOTONIC `until_ns`, looking for it without ever sleeping.
 
-        A core that sleeps must be woken first. Only for SCHED_FIFO, which zenoh's thread has to share: it then runs
-        between two looks, even on the same core.
+        A core that sleeps must be woken first. Only where `realtime.may_poll`: zenoh's thread runs between two looks.
         """
         ...
 

@@ -13,7 +13,6 @@ PRIORITY = 50
 """Of SCHED_FIFO: above every normal process, below the kernel's own threads. Nodes sleep most of the time, and Linux
 keeps 5 % of each core for the others whatever they do."""
 FIFO = f"SCHED_FIFO {PRIORITY}"
-"""What `claim` says where it got that."""
 NICE = -15
 
 
@@ -51,6 +50,11 @@ def claim(mode: Mode) -> str:
     except OSError as error:
         return f"normal priority ({resolved}: {error.strerror})"
     return "off"
+
+
+def may_poll(scheduling: str) -> bool:
+    """Whether a thread may wait awake, with what `claim` said: zenoh's threads need its priority and a second core."""
+    return scheduling == FIFO and len(os.sched_getaffinity(0)) > 1
 
 
 def _weigh_session(nice: int) -> None:

@@ -15,7 +15,7 @@ from schemas.bus import Bus, Subscription, ZenohBus, open_bus
 from schemas.clock import MonotonicClock, Schedule
 from schemas.messages import Action, MetaAction, Observation
 from schemas.process import Heartbeat, Trace, load_config, log, run_node
-from schemas.realtime import FIFO, claim
+from schemas.realtime import claim, may_poll
 from schemas.topics import ACTION, EVENT, OBSERVATION, STATUS
 from sim_node.config import SimConfig
 from sim_node.node import SimNode
@@ -152,13 +152,14 @@ def main() -> None:
     node = SimNode(config)
     node.reset(time.monotonic_ns() // 1_000_000)  # grows at every restart, so old actions can never be taken for new
     scheduling = claim(config.realtime)
+    poll = may_poll(scheduling)
     with open_bus(config.bus) as bus:
         for topic in (OBSERVATION, EVENT, STATUS):
             bus.announce(topic)
         trips = RoundTrips(bus.subscribe_rehearsed(ACTION, lambda _: None), trace)
         if bus.wait_for_reader(OBSERVATION, READER_S):
             time.sleep(SETTLE_S)
-        schedule = Schedule(RehearsingClock(bus, scheduling == FIFO), config.hz)
+        schedule = Schedule(RehearsingClock(bus, poll), config.hz)
         loop = Loop(bus, node, trips, schedule)
         ticks = float("inf") if config.duration_s is None else config.duration_s * config.hz
         with Heartbeat(bus, "sim", loop.figures) as heart:
@@ -174,7 +175,7 @@ def main() -> None:
                     heart.epoch = node.epoch
                     loop.publish()
                     heart.end()
-                    if scheduling == FIFO:
+                    if poll:
                         trips.poll()
             finally:
                 heart.end()
