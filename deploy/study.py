@@ -30,11 +30,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from deploy.evaluate import FIRST_SEED, load, overtake_on, task_of, wilson95
 from deploy.training import SCENES, mixed_scenes, scenes_of
 from fast_node.mask import VERSION as MASK_VERSION
-from fast_node.mlp import load_mlp, with_guard
+from fast_node.mlp import load_mlp
 from fast_node.policy import load_policy
 from fast_node.training.rollout import DECISION_TICKS, Driver, Fleet
 from schemas.features import LAYOUT_HASH
-from schemas.messages import POLICY_ACTIONS, MetaAction
+from schemas.messages import MetaAction
 from schemas.process import ConfigError, die_with_parent
 from sim_node.engine.batched import Batched
 from sim_node.metrics import Recorder, summarise
@@ -150,23 +150,18 @@ def curve_return(cell: Cell, logits: Logits) -> float:
                        masked=cell.masked)
     returns, running = np.zeros(CURVE_SCENES), np.ones(CURVE_SCENES, np.bool_)
     while running.any():
-        preferred = np.where(scenes.open(), _preferences(cell, logits(scenes.observe())), -np.inf)
+        preferred = np.where(scenes.open(), logits(scenes.observe()), -np.inf)
         reward, terminated, truncated = scenes.decide(preferred.argmax(-1))
         returns[running] += reward[running]
         running &= ~(terminated | truncated)
     return float(returns.mean())
 
 
-def _preferences(cell: Cell, logits: Array) -> Array:
-    """Of a masked baseline as it has learnt them: what is closed becomes CRUISE."""
-    return with_guard(logits) if cell.masked and cell.algorithm != "ours" else logits
-
-
 def measured(cell: Cell, logits: Logits) -> dict[str, Any]:
     """One episode at 15 Hz per evaluation seed, the passenger in a hurry: the table's figures.
 
-    Ours drives as the fast node does. The others decide once a second, as they have learnt to, and hold in between;
-    behind the mask it has the last word at every tick.
+    Behind the mask everybody drives as the fast node does. Without it they decide once a second, as they have learnt
+    to, and hold in between.
     """
     scenario, n = SCENARIOS[cell.scenario], cell.episodes
     world = Batched(scenario, n, 0)
@@ -174,11 +169,7 @@ def measured(cell: Cell, logits: Logits) -> dict[str, Any]:
     for i in range(n):
         load(world, fleet, scenario, i, FIRST_SEED + i, "hurry")
     hold = np.full(n, int(MetaAction.CRUISE))
-    holding = np.zeros((n, POLICY_ACTIONS), np.float32)
-    holding[:, MetaAction.CRUISE] = 1.0
-    tick = 0
-    driver = Driver(fleet, logits if cell.algorithm == "ours" else lambda x: (
-        _preferences(cell, logits(x)) if tick % DECISION_TICKS == 0 else holding))
+    driver = Driver(fleet, logits)
     recorder, active = Recorder(scenario, n), np.ones(n, np.bool_)
     for tick in range(round(scenario.duration_s * 15)):
         if cell.masked:

@@ -16,7 +16,6 @@ from safetensors.numpy import load_file
 
 from fast_node.mask import VERSION as MASK_VERSION
 from schemas.features import FEATURES, LAYOUT_HASH, N_ROWS
-from schemas.messages import MetaAction
 from schemas.process import ConfigError
 
 Array = NDArray[np.float32]
@@ -45,14 +44,6 @@ class MlpPolicy:
             z = np.maximum(z, 0) if self._relu else np.tanh(z)
         out: Array = z @ self._layers[-1][0] + self._layers[-1][1]
         return out
-
-
-def with_guard(logits: Array) -> Array:
-    """(..., 5) preferences as `masked` baselines learn them: the best action, or CRUISE where the mask closes it."""
-    out = np.zeros_like(logits)
-    out[..., MetaAction.CRUISE] = 1.0
-    np.put_along_axis(out, logits.argmax(-1)[..., None], 2.0, -1)
-    return out
 
 
 def load_mlp(path: Path) -> MlpPolicy:

@@ -4,7 +4,8 @@ Tuned fairly: scaled rewards, our learning rate and discount, two layers of 128,
 step per four transitions. Two variants, which differ in their scenes and here:
 
 * `bare`, as published: no mask, and the wish's columns are zero. Its scenes should ask for one and the same thing.
-* `masked`: our mask as a guard (they choose; what is closed becomes CRUISE), and the wish in their observation.
+* `masked`: behind our mask, with the wish in their observation. They learn which actions are closed from what becomes
+  of them (CRUISE, where that is open); when they drive, the best open one is taken, as of ours.
 """
 
 from __future__ import annotations
