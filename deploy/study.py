@@ -334,7 +334,7 @@ def table(study: dict[str, Any]) -> str:
         half = "?" if r["return_half"] is None else f"{r['return_half']:.3f}"
         lines.append(" ".join((
             f"| {r['scenario']} | {name} | {r['seeds']} | {r['return']:.3f} ± {half} | {early} | {above}",
-            f"| | {r['success']:.1%} ({100 * low:.0f}-{100 * high:.0f})",
+            f"| {r['success']:.1%} ({100 * low:.0f}-{100 * high:.0f})",
             f"| {r['ego_fault_collisions']:.1f}, {r['struck_collisions']:.1f} | {r['avg_speed']:.2f}",
             f"| {r['accel_var']:.2f} | {r['min_ttc_mean']:.2f} |")))
     lines += ["", "± and brackets: 95 %, over seeds (Student's t) and over all episodes (Wilson). Where A2C's",
