@@ -141,7 +141,8 @@ def _values(net: ActorCritic, x: Array) -> Array:
 
 
 def export(net: ActorCritic, out: Path, sidecar: dict[str, object], observations: int = 1000) -> None:
-    """Write weights and sidecar, and check the NumPy policy against torch; raises `ValueError` beyond 1e-5."""
+    """Write weights and sidecar, and check the NumPy policy against torch; raises `ValueError` beyond 1e-5
+    of the largest logit."""
     out.parent.mkdir(parents=True, exist_ok=True)
     save_file({k: v.contiguous() for k, v in net.state_dict().items() if not k.startswith("value")}, out)
     out.with_suffix(".json").write_text(json.dumps({
@@ -152,6 +153,7 @@ def export(net: ActorCritic, out: Path, sidecar: dict[str, object], observations
     with torch.no_grad():
         expected = net(torch.from_numpy(x))[0].numpy()
     worst = max(float(np.abs(policy.logits(a) - b).max()) for a, b in zip(x, expected, strict=True))
+    worst /= max(1.0, float(np.abs(expected).max()))
     if worst > 1e-5:
         raise ValueError(f"the exported policy differs from the trained one by {worst:.1e}")
 
