@@ -159,7 +159,8 @@ def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Pro
         Process(name="fast", argv=_node("fast_node", fast), critical=True),
         # The road begins once somebody is there to answer its first tick; hence it is the simulator that links to the
         # fast node, whose socket is there already, and not the other way round, after a retry.
-        Process(name="sim", argv=_node("sim_node", sim), critical=True, needs=("fast",), finishes=True),
+        Process(name="sim", argv=_node("sim_node", sim), critical=True, needs=("fast",), finishes=True,
+                start_s=120.0),  # where nothing is compiled yet, on a busy machine
         Process(name="slow", argv=_node("slow_node", slow), critical=False),
     ]
     if model.embedded:
