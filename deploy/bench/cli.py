@@ -11,8 +11,6 @@ from typing import Annotated
 
 import typer
 
-from deploy.bench import passenger as ride
-
 app = typer.Typer(name="bench", help="Measure what the runtime costs, on this machine and on the real processes.",
                   no_args_is_help=True, rich_markup_mode=None)
 
@@ -191,4 +189,33 @@ def compare(
     typer.echo("* differs by more than chance; a machine whose speed drifts does that too: compare floor with floor")
 
 
-app.command(epilog=ride.EPILOG)(ride.passenger)
+@app.command(epilog="Examples:\n\n  fastslow bench passenger\n\n  fastslow bench passenger --repeats 10 --json\n\n"
+                    "The embedded model is used even where OPENAI_API_KEY is set. Exit code 1: a command went "
+                    "otherwise.")
+def passenger(
+    repeats: Annotated[int, typer.Option(min=1, help="How often the ten commands are said.")] = 1,
+    spacing: Annotated[float, typer.Option(min=0.1, help="Seconds from one command to the next, or longer if it is "
+                                                         "not decided by then.")] = 4.0,
+    seed: Annotated[int, typer.Option(min=0, help="Which traffic there is.")] = 0,
+    out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where the result goes.",
+                                             show_default="runs/passenger-TIME-PID")] = None,
+    as_json: Json = False,
+) -> None:
+    """Say ten commands to the running system: what became of them, how soon, and what it cost the fast loop."""
+    import os
+    from datetime import UTC, datetime
+
+    from deploy.bench.passenger import lines, measure
+    from schemas.process import ConfigError
+
+    folder = out or Path("runs") / f"passenger-{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{os.getpid()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        result = measure(folder, repeats=repeats, spacing_s=spacing, seed=seed)
+        (folder / "passenger.json").write_text(json.dumps(result) + "\n", encoding="utf-8")
+    except (ConfigError, OSError) as error:
+        raise _fail(error) from None
+    typer.echo(f"fastslow: kept in {folder / 'passenger.json'}", err=True)
+    typer.echo(json.dumps(result) if as_json else "\n".join(lines(result)))
+    if result["as_expected"] < result["n"]:
+        raise typer.Exit(1)

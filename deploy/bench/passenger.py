@@ -1,12 +1,8 @@
-"""`fastslow bench passenger`: ten commands said to the real system, what the car made of them, and how soon.
-
-Imported with the command line, so what is heavy is imported where it is used.
-"""
+"""`fastslow bench passenger`: ten commands said to the real system, what the car made of them, and how soon."""
 
 from __future__ import annotations
 
 import json
-import os
 import secrets
 import sys
 import time
@@ -14,11 +10,8 @@ import urllib.request
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from deploy.processes import TCP_HOST, free_port
 from schemas import topics
@@ -281,37 +274,3 @@ def lines(result: dict[str, Any]) -> Iterator[str]:
     yield "resident memory: " + ", ".join(f"{name} {mb} MB" for name, mb in result["rss_mb"].items())
     if result["restarted"]:
         yield f"restarted meanwhile: {', '.join(result['restarted'])}"
-
-
-EPILOG = ("Examples:\n\n  fastslow bench passenger\n\n  fastslow bench passenger --repeats 10 --json\n\n"
-          "The embedded model is used even where OPENAI_API_KEY is set. Exit code 1: a command went otherwise.")
-
-
-def passenger(
-    repeats: Annotated[int, typer.Option(min=1, help="How often the ten commands are said.")] = 1,
-    spacing: Annotated[float, typer.Option(min=0.1, help="Seconds from one command to the next, or longer if it is "
-                                                         "not decided by then.")] = 4.0,
-    seed: Annotated[int, typer.Option(min=0, help="Which traffic there is.")] = 0,
-    out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where the result goes.",
-                                             show_default="runs/passenger-TIME-PID")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Data as JSON on stdout; everything else on stderr.")] = False,
-) -> None:
-    """Say ten commands to the running system: what became of them, how soon, and what it cost the fast loop."""
-    from schemas.process import CONFIG, FAILED, ConfigError
-
-    folder = out or Path("runs") / f"passenger-{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{os.getpid()}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        result = measure(folder, repeats=repeats, spacing_s=spacing, seed=seed)
-        (folder / "passenger.json").write_text(json.dumps(result) + "\n", encoding="utf-8")
-    except (ConfigError, OSError) as error:
-        typer.echo(f"fastslow: {error}", err=True)
-        raise typer.Exit(CONFIG) from None
-    typer.echo(f"fastslow: kept in {folder / 'passenger.json'}", err=True)
-    if as_json:
-        typer.echo(json.dumps(result))
-    else:
-        for line in lines(result):
-            typer.echo(line)
-    if result["as_expected"] < result["n"]:
-        raise typer.Exit(FAILED)
