@@ -10,6 +10,7 @@ from typing import Any
 
 from fast_node.mask import REAR_GAP, RULES
 from schemas.clock import NS
+from schemas.measures import gap_m
 from schemas.messages import Closure, Directive, Event, MetaAction, Observation
 from schemas.wish import ANY_LANE, SPEED_TOLERANCE_MPS, Wish, lead_of, wished_lane
 
@@ -139,12 +140,18 @@ class Coordination:
             return passed and settled and observation.target_lane == home
         no_speed = directive.target_speed_mps is None and directive.manoeuvre != "stop"
         right_speed = no_speed or math.isclose(rows[0][3], wish.speed_mps, abs_tol=SPEED_TOLERANCE_MPS)
-        lead = next((r for r in rows[1:] if int(r[0]) == lead_of(rows, observation.target_lane)), None)
-        gap = lead[1] - rows[0][1] - 0.5 * (lead[6] + rows[0][6]) if lead else math.inf
-        too_close = directive.headway_s is not None and gap < HEADWAY_SHARE * directive.headway_s * rows[0][3]
         borrowed_for_nothing = directive.manoeuvre == "overtake" and observation.lanes[max(home - 1, 0)].direction < 0
         return settled and wish.lane in (ANY_LANE, observation.target_lane) and right_speed and not (
-            too_close or borrowed_for_nothing)
+            borrowed_for_nothing or self._too_close(directive, observation, rows))
+
+    @staticmethod
+    def _too_close(directive: Directive, observation: Observation, rows: list[list[float]]) -> bool:
+        """A headway is wished and the gap to the leader is shorter."""
+        if directive.headway_s is None:
+            return False
+        lead = lead_of(rows, observation.target_lane)
+        return any(int(r[0]) == lead and gap_m(rows[0][1], r[1], rows[0][6], r[6])
+                   < HEADWAY_SHARE * directive.headway_s * rows[0][3] for r in rows[1:])
 
     def _event(
         self, kind: Any, directive: Directive, observation: Observation, closure: Closure | None = None,
