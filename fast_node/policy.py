@@ -6,6 +6,7 @@ Axes: ... any batch axes, N vehicle rows, F features, D model width, H heads.
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -113,10 +114,16 @@ class _Layer:
 
 def normalised(z: Array) -> Array:
     """Mean 0 and variance 1 over the last axis; scale and shift of the norm are in the weights that follow."""
-    share = np.full((z.shape[-1], 1), 1.0 / z.shape[-1], np.float32)  # a product is quicker than a mean
+    share = _shares(z.shape[-1])
     u = z - z @ share
     u /= np.sqrt((u * u) @ share + np.float32(1e-5))
     return u
+
+
+@cache
+def _shares(width: int) -> Array:
+    """(width, 1) of 1 / width: a product with it is a mean, and quicker."""
+    return np.full((width, 1), 1.0 / width, np.float32)
 
 
 def attention_weights(scores: NDArray[Any], present: Present) -> Array:
