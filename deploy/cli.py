@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 
@@ -44,6 +46,26 @@ def _version(wanted: bool) -> None:
         except PackageNotFoundError:
             print("fastslow (not installed: run from its source folder)")
         raise typer.Exit
+
+
+@contextmanager
+def _readable_ends() -> Iterator[None]:
+    """What ends learning or evaluation early is one line and an exit code."""
+    from schemas.process import CONFIG, ConfigError, Stopped, stop_on_signals
+
+    try:
+        with stop_on_signals():
+            yield
+    except Stopped as stopped:
+        raise typer.Exit(stopped.code) from None
+    except ImportError as error:
+        typer.echo(f"fastslow: {error.name} is missing: pip install 'fastslow[train]'", err=True)
+        raise typer.Exit(CONFIG) from None
+    except ConfigError as error:
+        typer.echo(f"fastslow: {error}", err=True)
+        raise typer.Exit(CONFIG) from None
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
 
 
 @app.callback()
@@ -152,21 +174,11 @@ def train(
         help="What the mask assumes of others, in training and in driving: sim or cautious.")] = "sim",
 ) -> None:
     """Learn one policy for the given roads (some minutes on one core)."""
-    from schemas.process import CONFIG, ConfigError
-
-    try:
+    with _readable_ends():
         from deploy.training import train_policy
 
         figures = train_policy(out, scenario or ["highway", "merge", "two-way"], steps, seed, resume=resume,
                                preset=mask_preset)
-    except ImportError as error:
-        typer.echo(f"fastslow: {error.name} is missing: pip install 'fastslow[train]'", err=True)
-        raise typer.Exit(CONFIG) from None
-    except ConfigError as error:
-        typer.echo(f"fastslow: {error}", err=True)
-        raise typer.Exit(CONFIG) from None
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
     typer.echo(f"{out}: return {figures['episodic_return']:.2f}, crashes {figures['crash_rate']:.1%}", err=True)
 
 
@@ -186,24 +198,11 @@ def study(
     as_json: Json = False,
 ) -> None:
     """Compare our learner with PPO, DQN and A2C over several seeds; run again to go on."""
-    from schemas.process import CONFIG, ConfigError, Stopped, stop_on_signals
-
-    try:
+    with _readable_ends():
         from deploy.study import ALGORITHMS, ROADS, run_study
 
-        with stop_on_signals():
-            code = run_study(out, algorithms=algorithm or ALGORITHMS, scenarios=scenario or ROADS, seeds=range(seeds),
-                             steps=steps, jobs=jobs, quick=quick, as_json=as_json)
-    except Stopped as stopped:
-        raise typer.Exit(stopped.code) from None
-    except ImportError as error:
-        typer.echo(f"fastslow: {error.name} is missing: pip install 'fastslow[train,baselines]'", err=True)
-        raise typer.Exit(CONFIG) from None
-    except ConfigError as error:
-        typer.echo(f"fastslow: {error}", err=True)
-        raise typer.Exit(CONFIG) from None
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
+        code = run_study(out, algorithms=algorithm or ALGORITHMS, scenarios=scenario or ROADS, seeds=range(seeds),
+                         steps=steps, jobs=jobs, quick=quick, as_json=as_json)
     raise typer.Exit(code)
 
 
@@ -225,25 +224,15 @@ def evaluate(
     as_json: Json = False,
 ) -> None:
     """Drive episodes on seeds that training never saw, and print what came of it with 95 % intervals."""
-    from schemas.process import CONFIG, ConfigError
-
-    try:
-        from deploy.evaluate import AGENTS, evaluate_all, table
+    with _readable_ends():
+        from deploy.evaluate import AGENTS, Directive, evaluate_all, table
         from sim_node.scenarios import SCENARIOS
 
         result = evaluate_all(
             list(AGENTS) if everything else agent or ["ours"],
             list(SCENARIOS) if everything else scenario or ["highway", "merge", "two-way"],
-            episodes, checkpoint=checkpoint, directive=directive, wish_mps=wish,
+            episodes, checkpoint=checkpoint, directive=cast(Directive, directive), wish_mps=wish,
             progress=lambda text: typer.echo(text, err=True))
-    except ImportError as error:
-        typer.echo(f"fastslow: {error.name} is missing: pip install 'fastslow[train]'", err=True)
-        raise typer.Exit(CONFIG) from None
-    except ConfigError as error:
-        typer.echo(f"fastslow: {error}", err=True)
-        raise typer.Exit(CONFIG) from None
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
     typer.echo(json.dumps(result) if as_json else table(result))
 
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.evaluate import load, overtake_on, task_of
+from deploy.evaluate import load, record, task_of
 from deploy.interpret import embedded_server
 from deploy.processes import choose_model
 from fast_node.rule import rule_logits
@@ -31,7 +31,7 @@ from schemas.messages import POLICY_ACTIONS, MetaAction, Observation
 from schemas.process import ConfigError
 from schemas.wish import wished_lane
 from sim_node.engine.batched import HZ, Batched
-from sim_node.metrics import EpisodeResult, Recorder
+from sim_node.metrics import EpisodeResult
 from sim_node.scenarios import SCENARIOS, Scenario
 from slow_node.dilu import Bank, Experience, build_prompt, describe, explain, parse
 from slow_node.embedding import load_embedder
@@ -141,7 +141,7 @@ class World:
 
     def load(self, scene: int, seed: int) -> None:
         """That seed's traffic and wish."""
-        load(self.batch, self.fleet, self.scenario, scene, seed, "hurry")
+        load(self.fleet, self.scenario, scene, seed, "hurry")
 
     def wish(self) -> None:
         """The lane that the passenger wishes each ego in now, for the measures: `Fleet.look` without the mask."""
@@ -238,11 +238,11 @@ def drive_dilu(
 
 
 def _episode(world: World, driver: LanguageDriver, paused: bool) -> EpisodeResult:
-    fleet, batch = world.fleet, world.batch
-    recorder, active = Recorder(world.scenario, 1), np.ones(1, np.bool_)
     waiting: tuple[int, MetaAction] | None = None
     ask_from = 0
-    for tick in range(round(world.scenario.duration_s * HZ)):
+
+    def step(tick: int) -> None:
+        nonlocal waiting, ask_from
         meta = MetaAction.CRUISE
         if waiting is not None and waiting[0] <= tick:
             meta, waiting = waiting[1], None
@@ -254,14 +254,9 @@ def _episode(world: World, driver: LanguageDriver, paused: bool) -> EpisodeResul
             else:
                 waiting = tick + max(math.ceil(took_s * HZ), 1), action
         world.wish()
-        batch.tick(np.full(1, int(meta)), fleet.v_des)
-        if tick % DECISION_TICKS == 0 and not world.scenario.wish_lanes:
-            overtake_on(fleet)
-        recorder.tick(batch.rows, batch.accel, batch.target_lane, batch.previous_lane, batch.crashed, active,
-                      fleet.wish, fleet.v_des)
-        if fleet.over().any():
-            break
-    return recorder.results()[0]
+        world.batch.tick(np.full(1, int(meta)), world.fleet.v_des)
+
+    return record(world.fleet, world.scenario, step)[0]
 
 
 @functools.cache

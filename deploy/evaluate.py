@@ -18,7 +18,7 @@ from fast_node.rule import rule_logits
 from fast_node.training.rollout import DECISION_TICKS, Driver, Fleet, Task
 from schemas.messages import POLICY_ACTIONS, MetaAction
 from schemas.wish import ANY_LANE
-from sim_node.engine.batched import Batched
+from sim_node.engine.batched import HZ, Batched
 from sim_node.metrics import EpisodeResult, Recorder, summarise
 from sim_node.scenarios import SCENARIOS, Scenario
 from sim_node.scenarios.scenario import draw_wish, streams
@@ -30,6 +30,7 @@ SCHEMA = "fastslow.evaluate/1"
 Directive = Literal["hurry", "lane", "random"]
 """What the passenger asks for: full speed in any lane (on two-way: to overtake, one car after the other), full speed in
 a lane drawn for the seed, or any lane and any speed drawn for the seed."""
+DIRECTIVES: tuple[Directive, ...] = get_args(Directive)
 Logits = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
 
@@ -86,28 +87,57 @@ _CONSTANT = {"cruise": MetaAction.CRUISE, "faster": MetaAction.SPEED_UP, "slower
              "left": MetaAction.LEFT, "right": MetaAction.RIGHT}
 
 
-def load(world: Batched, fleet: Fleet, scenario: Scenario, scene: int, seed: int, directive: str) -> None:
-    """Put that seed's traffic and directive into one scene."""
+def directed(
+    directive: Directive, scenario: Scenario, rng: np.random.Generator, rows: Any, home: int
+) -> tuple[int, int, float, float]:
+    """A directive for rows (V, 9) and a home lane, drawn as `draw_wish` draws and of the same form."""
+    told = draw_wish(rng, scenario, rows, home, overtake_share=1.0)
+    if directive == "random":
+        return told
+    lane = ANY_LANE if directive == "hurry" and scenario.wish_lanes else told[0]
+    return lane, told[1], scenario.ego.speed_ceiling_mps, ASSERTIVE_HEADWAY_S
+
+
+def load(fleet: Fleet, scenario: Scenario, scene: int, seed: int, directive: Directive) -> None:
+    """Put that seed's traffic and directive into one scene of a fleet of `Batched` scenes."""
+    world = fleet.world
+    assert isinstance(world, Batched)
     traffic, wishes, _ = streams(seed)
     world.load(scene, scenario.spawn(traffic))
-    told = draw_wish(wishes, scenario, world.rows[scene], int(world.target_lane[scene]), overtake_share=1.0)
-    if directive != "random":
-        told = (ANY_LANE if directive == "hurry" and scenario.wish_lanes else told[0], told[1],
-                scenario.ego.speed_ceiling_mps, ASSERTIVE_HEADWAY_S)
-    fleet.told_lane[scene], fleet.pass_id[scene], fleet.v_des[scene], fleet.headway[scene] = told
+    fleet.told_lane[scene], fleet.pass_id[scene], fleet.v_des[scene], fleet.headway[scene] = directed(
+        directive, scenario, wishes, world.rows[scene], int(world.target_lane[scene]))
+
+
+def record(fleet: Fleet, scenario: Scenario, step: Callable[[int], NDArray[np.bool_] | None]) -> list[EpisodeResult]:
+    """Drive every scene of a fleet to its end, and measure it.
+
+    `step` advances the world at a tick, counted from 0, and says in which scenes the mask decided against the driver.
+    """
+    w = fleet.world
+    recorder, active = Recorder(scenario, len(fleet.wish)), np.ones(len(fleet.wish), np.bool_)
+    for tick in range(round(scenario.duration_s * HZ)):
+        overridden = step(tick)
+        if tick % DECISION_TICKS == 0 and not scenario.wish_lanes:
+            overtake_on(fleet)
+        recorder.tick(w.rows, w.accel, w.target_lane, w.previous_lane, w.crashed, active, fleet.wish, fleet.v_des,
+                      overridden)
+        active &= ~fleet.over()
+        if not active.any():
+            break
+    return recorder.results()
 
 
 def drive(
     agent: str, scenario: Scenario, seeds: Sequence[int], *, checkpoint: Path | None = None,
-    directive: str = "hurry", wish_mps: float | None = None,
+    directive: Directive = "hurry", wish_mps: float | None = None,
 ) -> list[EpisodeResult]:
     """One episode per seed, with that seed's traffic and a directive from the start (see `Directive`), and with
     another wished speed than that where one is given.
 
     Raises `ConfigError` for an unusable checkpoint and ValueError for an unknown agent.
     """
-    if directive not in get_args(Directive):
-        raise ValueError(f"directive {directive!r} is not one of: {', '.join(get_args(Directive))}")
+    if directive not in DIRECTIVES:
+        raise ValueError(f"directive {directive!r} is not one of: {', '.join(DIRECTIVES)}")
     if agent not in AGENTS:
         raise ValueError(f"agent {agent!r} is not one of: {', '.join([*AGENTS, *LANGUAGE])}")
     n = len(seeds)
@@ -116,7 +146,7 @@ def drive(
     preset = str(policy.sidecar["mask_preset"])
     fleet = Fleet(world, task_of(scenario, preset), masked=agent in MASKED)
     for i, seed in enumerate(seeds):
-        load(world, fleet, scenario, i, seed, directive)
+        load(fleet, scenario, i, seed, directive)
     if wish_mps is not None:
         fleet.v_des[:] = wish_mps
     if agent.startswith("ours"):
@@ -128,22 +158,16 @@ def drive(
     else:
         logits = constant(_CONSTANT.get(agent, MetaAction.CRUISE))
     driver = Driver(fleet, logits)
-    recorder = Recorder(scenario, n)
-    active = np.ones(n, np.bool_)
-    for tick in range(round(scenario.duration_s * 15)):
+
+    def step(tick: int) -> NDArray[np.bool_]:
         if agent == "brake":
             fleet.look()
             world.tick(np.full(n, int(MetaAction.EMERGENCY_BRAKE)), fleet.v_des)
         else:
             driver.tick()
-        if tick % 15 == 0 and not scenario.wish_lanes:
-            overtake_on(fleet)
-        recorder.tick(world.rows, world.accel, world.target_lane, world.previous_lane, world.crashed, active,
-                      fleet.wish, fleet.v_des, driver.overridden)
-        active &= ~fleet.over()
-        if not active.any():
-            break
-    return recorder.results()
+        return driver.overridden
+
+    return record(fleet, scenario, step)
 
 
 def overtake_on(fleet: Fleet) -> None:
@@ -158,7 +182,7 @@ def overtake_on(fleet: Fleet) -> None:
 
 
 def _drive_language(
-    agent: str, scenario: Scenario, seeds: Sequence[int], directive: str
+    agent: str, scenario: Scenario, seeds: Sequence[int], directive: Directive
 ) -> tuple[list[EpisodeResult], dict[str, Any]]:
     """The episodes of a driver of `LANGUAGE`, and what its model did."""
     from deploy.dilu import drive_dilu, memory, running_model
@@ -172,7 +196,7 @@ def _drive_language(
 
 def evaluate_all(
     agents: Sequence[str], scenarios: Sequence[str], episodes: int, *, checkpoint: Path | None = None,
-    directive: str = "hurry", wish_mps: float | None = None, progress: Callable[[str], None] = lambda _: None,
+    directive: Directive = "hurry", wish_mps: float | None = None, progress: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """A row per agent and scenario, over the seeds from `FIRST_SEED`; per scenario the seeds that nobody survived."""
     rows, unsurvived = [], {}

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from deploy.evaluate import FIRST_SEED, load, overtake_on, task_of, wilson95
+from deploy.evaluate import FIRST_SEED, load, record, task_of, wilson95
 from deploy.training import SCENES, mixed_scenes, scenes_of
 from fast_node.mask import VERSION as MASK_VERSION
 from fast_node.mlp import load_mlp
@@ -37,7 +37,7 @@ from schemas.features import LAYOUT_HASH
 from schemas.messages import MetaAction
 from schemas.process import ConfigError, die_with_parent
 from sim_node.engine.batched import Batched
-from sim_node.metrics import Recorder, summarise
+from sim_node.metrics import summarise
 from sim_node.scenarios import SCENARIOS
 
 SCHEMA = "fastslow.study/1"
@@ -167,24 +167,18 @@ def measured(cell: Cell, logits: Logits) -> dict[str, Any]:
     world = Batched(scenario, n, 0)
     fleet = Fleet(world, task_of(scenario), masked=cell.masked)
     for i in range(n):
-        load(world, fleet, scenario, i, FIRST_SEED + i, "hurry")
-    hold = np.full(n, int(MetaAction.CRUISE))
-    driver = Driver(fleet, logits)
-    recorder, active = Recorder(scenario, n), np.ones(n, np.bool_)
-    for tick in range(round(scenario.duration_s * 15)):
+        load(fleet, scenario, i, FIRST_SEED + i, "hurry")
+    hold, driver = np.full(n, int(MetaAction.CRUISE)), Driver(fleet, logits)
+
+    def step(tick: int) -> NDArray[np.bool_]:
         if cell.masked:
             driver.tick()
         else:
             fleet.look()
             world.tick(logits(fleet.observe()).argmax(-1) if tick % DECISION_TICKS == 0 else hold, fleet.v_des)
-        if tick % DECISION_TICKS == 0 and not scenario.wish_lanes:
-            overtake_on(fleet)
-        recorder.tick(world.rows, world.accel, world.target_lane, world.previous_lane, world.crashed, active,
-                      fleet.wish, fleet.v_des, driver.overridden)
-        active &= ~fleet.over()
-        if not active.any():
-            break
-    summary = summarise(recorder.results())
+        return driver.overridden
+
+    summary = summarise(record(fleet, scenario, step))
     return {k: summary[k] for k in FIGURES}
 
 

@@ -7,30 +7,20 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from deploy.evaluate import overtake_on, task_of
-from fast_node.coordination import ASSERTIVE_HEADWAY_S
+from deploy.evaluate import directed, overtake_on, task_of
 from fast_node.mask import PRESETS
 from fast_node.training.rollout import Mixed, Scenes
-from schemas.wish import ANY_LANE
 from sim_node.engine.batched import Batched
 from sim_node.scenarios import SCENARIOS, Scenario
-from sim_node.scenarios.scenario import draw_wish
 
 SCENES = 64
 """In all; shared among the scenarios."""
-
-
-def hurry(scenario: Scenario, rng: np.random.Generator, rows: Any, home: int) -> tuple[int, int, float, float]:
-    """The directive of `fastslow evaluate`, as `draw_wish`: full speed in any lane, or to overtake; close up."""
-    lane, lead, _, _ = draw_wish(rng, scenario, rows, home, overtake_share=1.0)
-    return ANY_LANE if scenario.wish_lanes else lane, lead, scenario.ego.speed_ceiling_mps, ASSERTIVE_HEADWAY_S
 
 
 class HurriedScenes(Scenes):
@@ -55,7 +45,7 @@ def scenes_of(
     task = task_of(scenario, preset)
     if not hurried:
         return Scenes(Batched(scenario, scenes, world_seed), task, wish_seed, masked=masked)
-    task = replace(task, draw=partial(hurry, scenario))
+    task = replace(task, draw=partial(directed, "hurry", scenario))
     return HurriedScenes(Batched(scenario, scenes, world_seed), task, wish_seed, masked=masked)
 
 
