@@ -4,7 +4,7 @@ BIN := .venv/bin
 TEXT ?= I'm in a hurry to get to work, I want to drive faster
 export TEXT
 
-.PHONY: setup run say test parity difficulty study check clean
+.PHONY: setup run say test parity difficulty study picture check clean
 .DEFAULT_GOAL := run
 
 setup: .venv/.ready
@@ -38,6 +38,10 @@ difficulty: setup
 study: setup
 	$(BIN)/python -m pip install -q -c constraints.txt -e '.[baselines]'
 	$(BIN)/fastslow study $(ARGS)
+
+# The README's picture, after the policy has changed.
+picture: setup
+	$(BIN)/python -m deploy.lockstep docs/run.png
 
 check: setup
 	$(BIN)/ruff check .

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from fast_node.config import FastConfig
 from fast_node.node import FastNode
-from fast_node.policy import Policy
+from fast_node.policy import Policy, load_policy
 from schemas import topics
 from schemas.bus import LocalBus
 from schemas.clock import NS
@@ -84,3 +86,40 @@ def run_episode(
     episode.passed = sim.metrics.passed > 0
     episode.min_ttc_s = sim.metrics.min_ttc_s
     return episode
+
+
+def draw(episode: Episode, told_s: float, path: Path) -> None:
+    """Speed and lane over time on a two-way road, with what became of a directive given at `told_s`."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    time_s = [k / HZ for k in range(len(episode.speeds))]
+    figure, (speed, lane) = plt.subplots(2, 1, sharex=True, figsize=(10, 4.6), height_ratios=(2, 1))
+    speed.plot(time_s, episode.speeds)
+    lane.step(time_s, episode.lanes, color="tab:green", where="post")
+    marks = [(told_s, "told to overtake", "black")]
+    for event in episode.events:
+        if event.kind == "overridden":
+            marks.append((event.tick / HZ, f"delayed {event.duration_s:.0f} s: {event.rule}", "tab:red"))
+        elif event.kind == "fulfilled":
+            marks.append((event.tick / HZ, "fulfilled", "tab:green"))
+    for row, (at_s, text, colour) in enumerate(marks):
+        speed.text(at_s + 0.2, 0.4 + 0.9 * row, text, color=colour, fontsize="small")
+        for axis in (speed, lane):
+            axis.axvline(at_s, color=colour, linestyle=":", linewidth=1)
+    for axis in (speed, lane):
+        axis.fill_between(time_s, 0, 1, where=[n == 0 for n in episode.lanes], transform=axis.get_xaxis_transform(),
+                          color="tab:orange", alpha=0.2, linewidth=0)
+        axis.grid(alpha=0.3)
+    speed.set(ylabel="speed [m/s]", ylim=(0, 9), title=f"two-way, seed {episode.seed}, lock-step")
+    lane.set(xlabel="time [s]", yticks=(0, 1), yticklabels=("oncoming", "own"))
+    lane.invert_yaxis()
+    figure.tight_layout()
+    figure.savefig(path, dpi=100)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    draw(run_episode(1000, load_policy(), overtake_at(3.0)), 3.0, Path(sys.argv[1]))
