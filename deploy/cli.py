@@ -59,7 +59,8 @@ def _readable_ends() -> Iterator[None]:
     except Stopped as stopped:
         raise typer.Exit(stopped.code) from None
     except ImportError as error:
-        typer.echo(f"fastslow: {error.name} is missing: pip install 'fastslow[train]'", err=True)
+        extra = "baselines" if error.name == "stable_baselines3" else "train"
+        typer.echo(f"fastslow: {error.name} is missing: pip install 'fastslow[{extra}]'", err=True)
         raise typer.Exit(CONFIG) from None
     except ConfigError as error:
         typer.echo(f"fastslow: {error}", err=True)
@@ -159,7 +160,8 @@ def doctor(port: Port = _PORT, as_json: Json = False) -> None:
 
 
 @app.command(epilog="Examples:\n\n  fastslow train\n\n"
-                    "  fastslow train --scenario highway --steps 20000 --seed 1 --out mine.safetensors\n\n" + _EXITS)
+                    "  fastslow train --scenario highway --steps 20000 --seed 1 --out mine.safetensors\n\n"
+                    "  fastslow train --algorithm ppo --bare --out runs/ppo-bare.safetensors\n\n" + _EXITS)
 def train(
     out: Annotated[Path, typer.Option(help="Where the policy goes, with a JSON sidecar beside it.")] = Path(
         "runs/policy.safetensors"),
@@ -172,14 +174,24 @@ def train(
         "--resume", help="Go on where an interrupted run to --out was last saved, in new traffic.")] = False,
     mask_preset: Annotated[str, typer.Option(
         help="What the mask assumes of others, in training and in driving: sim or cautious.")] = "sim",
+    algorithm: Annotated[str, typer.Option(
+        help="ours; or a baseline for comparison: ppo, dqn or a2c, which can neither resume nor choose a preset.")] = (
+        "ours"),
+    bare: Annotated[bool, typer.Option(
+        "--bare", help="A baseline as published: no mask, no directive.")] = False,
 ) -> None:
     """Learn one policy for the given roads (some minutes on one core)."""
+    roads = scenario or ["highway", "merge", "two-way"]
+    if algorithm == "ours" and bare:
+        raise typer.BadParameter("only a baseline: choose one by --algorithm", param_hint="'--bare'")
+    if algorithm != "ours" and (resume or mask_preset != "sim"):
+        raise typer.BadParameter("not for a baseline", param_hint="'--resume'" if resume else "'--mask-preset'")
     with _readable_ends():
-        from deploy.training import train_policy
+        from deploy.training import train_baseline, train_policy
 
-        figures = train_policy(out, scenario or ["highway", "merge", "two-way"], steps, seed, resume=resume,
-                               preset=mask_preset)
-    typer.echo(f"{out}: return {figures['episodic_return']:.2f}, crashes {figures['crash_rate']:.1%}", err=True)
+        figures = (train_policy(out, roads, steps, seed, resume=resume, preset=mask_preset) if algorithm == "ours"
+                   else train_baseline(algorithm, out, roads, steps, seed, bare=bare))
+    typer.echo(f"{out}: {', '.join(f'{name} {value:.3g}' for name, value in figures.items())}", err=True)
 
 
 @app.command(epilog="Examples:\n\n  fastslow study\n\n  fastslow study --quick --json\n\n" + _EXITS)

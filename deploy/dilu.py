@@ -35,7 +35,7 @@ from sim_node.metrics import EpisodeResult
 from sim_node.scenarios import SCENARIOS, Scenario
 from slow_node.dilu import Bank, Experience, build_prompt, describe, explain, parse
 from slow_node.embedding import load_embedder
-from slow_node.model import ChatModel, ModelError, ModelTimeoutError
+from slow_node.model import MAX_TOKENS, ChatModel, ModelError, ModelTimeoutError
 from slow_node.prompt import Chat
 
 DECISION_TICKS = HZ
@@ -87,16 +87,6 @@ class Figures:
         }
 
 
-class TextModel(ChatModel):
-    """Asks for text: DiLu's answers are reasoning and an id, not JSON."""
-
-    def __init__(self, base_url: str, model: str, key: str, *, short: bool) -> None:
-        super().__init__(base_url, model, key, short=short)
-        self._format = 2
-        if short:
-            self._max_tokens = MAX_TOKENS_EMBEDDED
-
-
 @contextlib.contextmanager
 def running_model(threads: int = 1) -> Iterator[Ask]:
     """The endpoint that the environment names, or the embedded model's process. Raises `ConfigError`."""
@@ -107,7 +97,8 @@ def running_model(threads: int = 1) -> Iterator[Ask]:
         if chosen.embedded and server is None:
             raise ConfigError("the embedded model did not start: see `fastslow doctor`, or set OPENAI_API_KEY")
         key = "" if chosen.embedded else os.environ["OPENAI_API_KEY"]
-        model = TextModel(chosen.base_url, chosen.name, key, short=chosen.embedded)
+        model = ChatModel(chosen.base_url, chosen.name, key,
+                          max_tokens=MAX_TOKENS_EMBEDDED if chosen.embedded else MAX_TOKENS)
         with asyncio.Runner() as loop:
             try:
                 yield lambda chat: _answer(loop, model, chat)
@@ -123,7 +114,7 @@ def running_model(threads: int = 1) -> Iterator[Ask]:
 def _answer(loop: asyncio.Runner, model: ChatModel, chat: Chat) -> Said:
     prompt, answer = model.prompt_tokens, model.answer_tokens
     try:
-        text = loop.run(model.complete(chat, {}, BUDGET_S))
+        text = loop.run(model.complete(chat, None, BUDGET_S))
     except ModelTimeoutError:
         raise
     except ModelError as error:  # without its model it would drive by doing nothing

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fast_node.coordination import ASSERTIVE_HEADWAY_S
 from fast_node.mask import lane_table
+from fast_node.mlp import BASELINES, load_mlp, shipped
 from fast_node.policy import SHIPPED, load_policy
 from fast_node.rule import rule_logits
 from fast_node.training.rollout import DECISION_TICKS, Driver, Fleet, Task
@@ -32,6 +33,8 @@ Directive = Literal["hurry", "lane", "random"]
 a lane drawn for the seed, or any lane and any speed drawn for the seed."""
 DIRECTIVES: tuple[Directive, ...] = get_args(Directive)
 Logits = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+Step = Callable[[int], NDArray[np.bool_]]
+"""Advances a fleet at a tick, counted from 0, and says in which scenes the mask decided against the driver."""
 
 
 def wilson95(successes: int, n: int) -> tuple[float, float]:
@@ -74,9 +77,11 @@ AGENTS: dict[str, str] = {
     "cruise": "never acts", "faster": "always speeds up", "slower": "always slows down",
     "left": "always wants left", "right": "always wants right",
     "brake": "stops at once", "random": "draws an action every second",
+    **{f"{name}-bare": f"{name.upper()} as published, one decision a second" for name in BASELINES},
+    **{f"{name}-masked": f"{name.upper()} with our directives, behind our mask" for name in BASELINES},
 }
 """What drives, by name."""
-MASKED = ("ours", "rule")
+MASKED = ("ours", "rule", *(f"{name}-masked" for name in BASELINES))
 """Those behind the mask."""
 LANGUAGE: dict[str, str] = {
     "dilu-paused": "a language model alone, one decision a second (DiLu's method); the world waits while it thinks",
@@ -109,10 +114,7 @@ def load(fleet: Fleet, scenario: Scenario, scene: int, seed: int, directive: Dir
 
 
 def record(fleet: Fleet, scenario: Scenario, step: Callable[[int], NDArray[np.bool_] | None]) -> list[EpisodeResult]:
-    """Drive every scene of a fleet to its end, and measure it.
-
-    `step` advances the world at a tick, counted from 0, and says in which scenes the mask decided against the driver.
-    """
+    """Drive every scene of a fleet to its end with a `Step`, and measure it."""
     w = fleet.world
     recorder, active = Recorder(scenario, len(fleet.wish)), np.ones(len(fleet.wish), np.bool_)
     for tick in range(round(scenario.duration_s * HZ)):
@@ -149,25 +151,50 @@ def drive(
         load(fleet, scenario, i, seed, directive)
     if wish_mps is not None:
         fleet.v_des[:] = wish_mps
-    if agent.startswith("ours"):
-        logits: Logits = policy.logits
+    algorithm, _, variant = agent.partition("-")
+    if algorithm in BASELINES:
+        logits: Logits = load_mlp(shipped(algorithm, variant)).logits
+    elif algorithm == "ours":
+        logits = policy.logits
     elif agent == "rule":
         logits = rule_logits
     elif agent == "random":
         logits = uniform(0)
     else:
         logits = constant(_CONSTANT.get(agent, MetaAction.CRUISE))
+    if agent == "brake":
+        brake = np.full(n, int(MetaAction.EMERGENCY_BRAKE))
+        return record(fleet, scenario, unasked(fleet, lambda tick: brake))
+    return record(fleet, scenario, by_the_second(fleet, logits) if variant == "bare" else by_the_tick(fleet, logits))
+
+
+def by_the_tick(fleet: Fleet, logits: Logits) -> Step:
+    """As the fast node drives: it looks, and may decide, at every tick."""
     driver = Driver(fleet, logits)
 
     def step(tick: int) -> NDArray[np.bool_]:
-        if agent == "brake":
-            fleet.look()
-            world.tick(np.full(n, int(MetaAction.EMERGENCY_BRAKE)), fleet.v_des)
-        else:
-            driver.tick()
+        driver.tick()
         return driver.overridden
 
-    return record(fleet, scenario, step)
+    return step
+
+
+def by_the_second(fleet: Fleet, logits: Logits) -> Step:
+    """As one that knows no mask has learnt to: a decision a second, held in between."""
+    hold = np.full(len(fleet.wish), int(MetaAction.CRUISE))
+    return unasked(fleet, lambda tick: logits(fleet.observe()).argmax(-1) if tick % DECISION_TICKS == 0 else hold)
+
+
+def unasked(fleet: Fleet, act: Callable[[int], NDArray[np.int64]]) -> Step:
+    """Actions as they come, with nobody to decide against them."""
+    never = np.zeros(len(fleet.wish), np.bool_)
+
+    def step(tick: int) -> NDArray[np.bool_]:
+        fleet.look()
+        fleet.world.tick(act(tick), fleet.v_des)
+        return never
+
+    return step
 
 
 def overtake_on(fleet: Fleet) -> None:

@@ -27,21 +27,20 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from deploy.evaluate import FIRST_SEED, load, record, task_of, wilson95
-from deploy.training import SCENES, mixed_scenes, scenes_of
+from deploy.evaluate import FIRST_SEED, by_the_second, by_the_tick, load, record, task_of, wilson95
+from deploy.training import BASELINE_SCENES, SCENES, mixed_scenes, scenes_of
 from fast_node.mask import VERSION as MASK_VERSION
-from fast_node.mlp import load_mlp
+from fast_node.mlp import BASELINES, VARIANTS, load_mlp
 from fast_node.policy import load_policy
-from fast_node.training.rollout import DECISION_TICKS, Driver, Fleet
+from fast_node.training.rollout import Fleet
 from schemas.features import LAYOUT_HASH
-from schemas.messages import MetaAction
 from schemas.process import ConfigError, die_with_parent
 from sim_node.engine.batched import Batched
 from sim_node.metrics import summarise
 from sim_node.scenarios import SCENARIOS
 
 SCHEMA = "fastslow.study/1"
-ALGORITHMS = ("ours", "ppo", "dqn", "a2c")
+ALGORITHMS = ("ours", *BASELINES)
 ROADS = ("highway", "merge", "two-way")
 SEEDS, STEPS, EPISODES = (0, 1, 2, 3, 4), 100_000, 100
 EARLY = 30_000
@@ -52,8 +51,6 @@ QUICK_SCENARIO, QUICK_SEEDS, QUICK_STEPS = "two-way", (0, 1, 2), 10_000
 QUICK_RETURN = 3.0
 """`--quick` fails below this mean return; seeds 0 to 4 reached 3.34 each, and had -6.6 to 2.5 before they learnt."""
 CURVE_EVERY, CURVE_SCENES, CURVE_SEED = 10_000, 64, 9_000_000
-BASELINE_SCENES = {"ppo": 64, "a2c": 16, "dqn": 16}
-"""How many scenes each baseline learns in at once; ours: `deploy.training.SCENES`."""
 
 Array = NDArray[np.float32]
 Logits = Callable[[Array], Array]
@@ -89,7 +86,7 @@ def cells_of(
                 raise ValueError(f"{what} {name!r} is not one of: {', '.join(known)}")
     return [Cell(algorithm, variant, scenario, seed, steps, episodes)
             for seed in seeds for scenario in scenarios for algorithm in algorithms
-            for variant in (("masked",) if algorithm == "ours" else ("bare", "masked"))]
+            for variant in (("masked",) if algorithm == "ours" else VARIANTS)]
 
 
 # --- one cell -------------------------------------------------------------------------------------------------------
@@ -168,16 +165,7 @@ def measured(cell: Cell, logits: Logits) -> dict[str, Any]:
     fleet = Fleet(world, task_of(scenario), masked=cell.masked)
     for i in range(n):
         load(fleet, scenario, i, FIRST_SEED + i, "hurry")
-    hold, driver = np.full(n, int(MetaAction.CRUISE)), Driver(fleet, logits)
-
-    def step(tick: int) -> NDArray[np.bool_]:
-        if cell.masked:
-            driver.tick()
-        else:
-            fleet.look()
-            world.tick(logits(fleet.observe()).argmax(-1) if tick % DECISION_TICKS == 0 else hold, fleet.v_des)
-        return driver.overridden
-
+    step = by_the_tick(fleet, logits) if cell.masked else by_the_second(fleet, logits)
     summary = summarise(record(fleet, scenario, step))
     return {k: summary[k] for k in FIGURES}
 

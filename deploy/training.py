@@ -15,12 +15,15 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from deploy.evaluate import directed, overtake_on, task_of
 from fast_node.mask import PRESETS
+from fast_node.mlp import BASELINES
 from fast_node.training.rollout import Mixed, Scenes
 from sim_node.engine.batched import Batched
 from sim_node.scenarios import SCENARIOS, Scenario
 
 SCENES = 64
 """In all; shared among the scenarios."""
+BASELINE_SCENES = {"ppo": 64, "a2c": 16, "dqn": 16}
+"""The same for each baseline."""
 
 
 class HurriedScenes(Scenes):
@@ -69,6 +72,29 @@ def mixed_scenes(
         for k, name in enumerate(scenarios)])
 
 
+def train_baseline(
+    algorithm: str, out: Path, scenarios: Sequence[str], steps: int, seed: int, *, bare: bool = False,
+) -> dict[str, float]:
+    """Train "ppo", "dqn" or "a2c" in the place of our policy; `bare`: without mask and directive, always in a hurry.
+
+    Raises ImportError without extra `baselines`, ValueError for an unknown algorithm or scenario.
+    """
+    if algorithm not in BASELINES:
+        raise ValueError(f"{algorithm}: choose from ours, {', '.join(BASELINES)}")
+    from fast_node.training.baselines import learn
+
+    scenes = mixed_scenes(scenarios, seed, scenes=BASELINE_SCENES[algorithm], hurried=bare, masked=not bare)
+    with _progress_bar() as bar:
+        task = bar.add_task(f"{algorithm} learning", total=steps)
+        return learn(algorithm, scenes, out, variant="bare" if bare else "masked", steps=steps, seed=seed,
+                     watch=lambda done, _: bar.update(task, completed=done))
+
+
+def _progress_bar() -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(file=sys.stderr))
+
+
 def train_policy(
     out: Path, scenarios: Sequence[str], steps: int, seed: int, *, resume: bool = False, preset: str = "sim",
 ) -> dict[str, float]:
@@ -81,8 +107,7 @@ def train_policy(
 
     after = saved_state(out)["steps"] if resume else 0
     scenes = mixed_scenes(scenarios, seed, after=after, preset=preset)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(file=sys.stderr)) as bar:
+    with _progress_bar() as bar:
         task = bar.add_task("learning", total=steps, completed=after)
 
         def progress(done: int, figures: dict[str, float]) -> None:

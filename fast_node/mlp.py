@@ -19,6 +19,9 @@ from schemas.features import FEATURES, LAYOUT_HASH, N_ROWS
 from schemas.process import ConfigError
 
 Array = NDArray[np.float32]
+BASELINES = ("ppo", "dqn", "a2c")
+VARIANTS = ("bare", "masked")
+"""As published, without mask and directive; or with both."""
 WISH = tuple(FEATURES.index(name) for name in ("y_des", "v_des", "headway", "y_wished"))
 """The directive's columns, of the ego's row: what a bare baseline does not get to see."""
 
@@ -46,13 +49,18 @@ class MlpPolicy:
         return out
 
 
+def shipped(algorithm: str, variant: str) -> Path:
+    """The baseline that is in the repository: learnt from seed 0 on the roads and the budget of our own policy."""
+    return Path(__file__).parent / "checkpoints" / f"{algorithm}-{variant}.safetensors"
+
+
 def load_mlp(path: Path) -> MlpPolicy:
     """The policy in `path` with its `.json` sidecar. Raises `ConfigError` if missing, corrupt or made for others."""
     try:
         sidecar = json.loads(path.with_suffix(".json").read_text())
         weights = load_file(path)
     except FileNotFoundError as error:
-        raise ConfigError(f"no baseline at {error.filename}: train it with `fastslow study`") from None
+        raise ConfigError(f"no baseline at {error.filename}: train it with `fastslow train --algorithm`") from None
     except (SafetensorError, json.JSONDecodeError, OSError) as error:
         raise ConfigError(f"the baseline {path.name} is corrupt ({error}): train it anew") from None
     mask = None if sidecar.get("variant") == "bare" else MASK_VERSION

@@ -8,7 +8,6 @@ import sys
 
 from schemas.process import load_config, run_node
 from slow_node.config import SlowConfig
-from slow_node.numbers import quantities
 
 NAME = "slow"
 M_MMAP_THRESHOLD, M_ARENA_MAX = -3, -8
@@ -35,13 +34,11 @@ def main() -> int:
 
 
 def _save_memory() -> None:
-    """Some 30 MB less, if done before anything large is loaded.
+    """Some 10 MB less, if done before anything large is loaded.
 
-    Compiling the patterns of numbers leaves 20 MB of heap free, into which what comes after moves. httpx does without
-    its command line (6 MB) where that cannot be imported. glibc would keep freed arrays, and in every thread's own
-    arena (5 MB).
+    httpx does without its command line (6 MB) where that cannot be imported. glibc would keep freed arrays, and in
+    every thread's own arena (5 MB).
     """
-    quantities("two hundred")
     sys.modules["httpx._main"] = None  # type: ignore[assignment]
     if sys.platform == "linux" and hasattr(libc := ctypes.CDLL(None), "mallopt"):
         libc.mallopt(M_MMAP_THRESHOLD, 1 << 20)

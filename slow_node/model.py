@@ -75,14 +75,15 @@ class Breaker:
 class ChatModel:
     """Posts chats to `base_url`/chat/completions."""
 
-    def __init__(self, base_url: str, model: str, key: str, *, short: bool, breaker: Breaker | None = None) -> None:
+    def __init__(self, base_url: str, model: str, key: str, *, max_tokens: int = MAX_TOKENS,
+                 breaker: Breaker | None = None) -> None:
         headers = {"Authorization": f"Bearer {key}"} if key else {}
         # trust_env off: a proxy variable must not carry a loopback call out of the machine.
         self._client = httpx.AsyncClient(
             base_url=base_url.rstrip("/") + "/", headers=headers, timeout=None, trust_env="127.0.0.1" not in base_url
         )
         self.name = model
-        self._max_tokens = MAX_TOKENS_SHORT if short else MAX_TOKENS
+        self._max_tokens = max_tokens
         self._format = 0
         """Which answer format the server takes; found once, by falling back on HTTP 400."""
         self._breaker = breaker or Breaker()
@@ -99,8 +100,9 @@ class ChatModel:
     async def close(self) -> None:
         await self._client.aclose()
 
-    async def complete(self, chat: Chat, schema: dict[str, Any], budget_s: float) -> str:
-        """R_t, the model's text. Raises `ModelError` at the latest when the budget [s] ends."""
+    async def complete(self, chat: Chat, schema: dict[str, Any] | None, budget_s: float) -> str:
+        """R_t, the model's text: JSON of this schema, or any text. Raises `ModelError` when the budget [s] ends, at the
+        latest."""
         if self._breaker.waits_s:
             raise ModelUnreachableError(
                 f"the model keeps failing: left alone for another {self._breaker.waits_s:.0f} s")
@@ -112,7 +114,7 @@ class ChatModel:
         self._breaker.succeeded()
         return answer
 
-    async def _retrying(self, chat: Chat, schema: dict[str, Any], budget_s: float) -> str:
+    async def _retrying(self, chat: Chat, schema: dict[str, Any] | None, budget_s: float) -> str:
         last: ModelError = ModelTimeoutError(f"the model did not answer within {budget_s:.1f} s")
         due = time.monotonic() + budget_s
         try:
@@ -130,7 +132,7 @@ class ChatModel:
             pass
         raise last
 
-    async def _negotiate(self, chat: Chat, schema: dict[str, Any]) -> str:
+    async def _negotiate(self, chat: Chat, schema: dict[str, Any] | None) -> str:
         """Post; on HTTP 400 or 422, once more with each weaker answer format."""
         formats: tuple[dict[str, Any], ...] = (
             {
@@ -142,10 +144,10 @@ class ChatModel:
             {"response_format": {"type": "json_object"}},
             {},
         )
-        for index in range(self._format, len(formats)):
+        for index in range(self._format if schema else len(formats) - 1, len(formats)):
             response = await self._post({"messages": chat, **formats[index]})
             if response.status_code not in (400, 422):
-                if response.status_code < 300:
+                if response.status_code < 300 and schema:
                     self._format = index
                 break
         if response.status_code == 429 or response.status_code >= 500:

@@ -17,7 +17,7 @@ from slow_node.config import SlowConfig
 from slow_node.deliberation import Call, Deliberation, Drop, Effect, Learn
 from slow_node.embedding import load_embedder
 from slow_node.memory import Memory
-from slow_node.model import ChatModel
+from slow_node.model import MAX_TOKENS, MAX_TOKENS_SHORT, ChatModel
 from slow_node.reader import Reader
 from slow_node.scene import describe, encode_scene
 from slow_node.seeds import SEEDS
@@ -134,7 +134,8 @@ def build_thinker(config: SlowConfig) -> tuple[Thinker, Memory, ChatModel]:
     key = "" if config.embedded else os.environ.get(config.api_key_env, "")
     if not key and not config.embedded:
         log(NAME, "key", f"{config.api_key_env} is not set; calling {config.base_url} without a key")
-    model = ChatModel(config.base_url, config.model, key, short=config.embedded)
+    model = ChatModel(config.base_url, config.model, key,
+                      max_tokens=MAX_TOKENS_SHORT if config.embedded else MAX_TOKENS)
     ask = config.ask if config.ask != "auto" else "unsure" if config.embedded else "always"
     reader = Reader.load(embedder) if config.reader else None
     thinker = Thinker(memory, model, reader, short=config.embedded, k=config.k, budget_s=config.budget_s,

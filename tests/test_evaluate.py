@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deploy.evaluate import drive, evaluate_all, task_of, wilson95
+from deploy.evaluate import by_the_second, constant, drive, evaluate_all, task_of, wilson95
 from fast_node.config import FastConfig
+from fast_node.mlp import BASELINES, VARIANTS, load_mlp, shipped
 from fast_node.node import FastNode
 from fast_node.policy import load_policy
 from fast_node.training.rollout import Driver, Fleet
-from schemas.messages import Directive
+from schemas.messages import Directive, MetaAction
 from schemas.wish import ANY_LANE
 from sim_node.config import SimConfig
 from sim_node.engine.batched import Batched
@@ -66,6 +67,32 @@ def test_no_scene_is_trivial_and_none_is_hopeless(name: str) -> None:
 
 def test_idm_survives_where_cruising_does_not() -> None:
     assert not any(r.collided for r in drive("idm", SCENARIOS["highway"], range(1000, 1030)))
+
+
+@pytest.mark.parametrize("algorithm", BASELINES)
+def test_a_shipped_baseline_learnt_on_our_roads_with_our_budget_and_never_collides_behind_our_mask(
+    algorithm: str,
+) -> None:
+    ours = load_policy().sidecar
+    theirs = [load_mlp(shipped(algorithm, variant)).sidecar for variant in VARIANTS]
+    assert all((t["scenarios"], t["seed"]) == (ours["scenarios"], ours["seed"]) for t in theirs)
+    assert all(100_000 <= int(str(t["steps"])) <= int(str(ours["steps"])) for t in theirs)
+    for name in ("highway", "merge", "two-way"):
+        assert not any(r.collided for r in drive(f"{algorithm}-masked", SCENARIOS[name], range(1000, 1020)))
+
+
+def test_a_bare_baseline_decides_once_a_second_and_nothing_overrides_it() -> None:
+    world = Batched(SCENARIOS["highway"], 2, 0)
+    asked: list[int] = []
+
+    def left(x: np.ndarray) -> np.ndarray:
+        asked.append(tick)
+        return constant(MetaAction.LEFT)(x)
+
+    step = by_the_second(Fleet(world, task_of(SCENARIOS["highway"]), masked=False), left)
+    for tick in range(31):
+        assert not step(tick).any()
+    assert asked == [0, 15, 30]
 
 
 def test_the_same_seeds_give_the_same_table() -> None:

@@ -315,7 +315,7 @@ def ask(server: FaultyServer, *, budget_s: float = 5.0, times: int = 1, breaker:
         list[str], ChatModel]:
     """What `times` calls gave: the answer, or the error's class and text."""
     outcomes: list[str] = []
-    model = ChatModel(server.url, "gpt-4o-mini", "a-key", short=False, breaker=breaker)
+    model = ChatModel(server.url, "gpt-4o-mini", "a-key", breaker=breaker)
 
     async def run() -> None:
         for _ in range(times):

@@ -31,7 +31,6 @@ from fast_node.training.train import Logits, random_inputs, revision
 from schemas.features import BOUND, FEATURES, LAYOUT_HASH, N_ROWS, Array
 from schemas.messages import POLICY_ACTIONS, MetaAction
 
-VARIANTS = ("bare", "masked")
 COMMON = {"gamma": 0.99, "learning_rate": 5e-4}
 CONFIG: dict[str, dict[str, Any]] = {
     "ppo": {"n_steps": 32, "batch_size": 256, "n_epochs": 10, "target_kl": 0.03, "ent_coef": 0.01},
@@ -114,8 +113,10 @@ class _Watch(BaseCallback):
 def learn(
     algorithm: str, scenes: Mixed, out: Path, *, variant: str, steps: int, seed: int,
     watch: Callable[[int, Logits], None] = lambda *_: None,
-) -> None:
+) -> dict[str, float]:
     """Train "ppo", "a2c" or "dqn" for `steps` decisions and export it to `out` (.safetensors) for `fast_node.mlp`.
+
+    Returns the mean return and the share of crashes of its last 200 episodes, if any came to an end.
 
     `watch` is called with the decisions made so far and the policy of that moment, before the first and after each.
     """
@@ -138,6 +139,7 @@ def learn(
         **sidecar, "mask": None if variant == "bare" else MASK_VERSION, "steps": model.num_timesteps, "seed": seed,
         "scenarios": [part.task.name for part in scenes.parts], "learner": {**COMMON, **CONFIG[algorithm]},
         "revision": revision(), "metrics": metrics})
+    return metrics
 
 
 def weights_of(model: Any) -> dict[str, Array]:
