@@ -3,8 +3,9 @@
     python -m slow_node.training.generate --seed 0 --size 24000 > commands.jsonl
 
 A phrase file holds sections. `@ slot=value ...` begins phrases with that label (`imp`: bare English imperatives, which
-may be negated); `@@ name` begins the language's connecting words. In a phrase, `(a|b)` is a choice, `[a]` may be left
-out, and `{v}`, `{d}`, `{h}` stand for a speed, a difference of speeds and a time gap.
+may be negated); `@@ name` begins the language's connecting words, or (`heard`, `chat`) its misspellings. In a phrase,
+`(a|b)` is a choice, `[a]` may be left out, and `{v}`, `{d}`, `{h}` stand for a speed, a difference of speeds and a time
+gap.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from slow_node.numbers import SPELLING_LANGUAGES, quantities, spelled
 from slow_node.reader import HEADS, with_numbers
 from slow_node.slots import Slots
 
+LIMIT_MPS = 33.0
+"""Of the scene for which the phrases are labelled."""
 PHRASES = Path(__file__).with_name("phrases")
 LANGUAGES = ("en", "de", "fr", "es", "it", "pt", "nl")
 Label = dict[str, str]
@@ -84,6 +87,11 @@ def load_stock(folder: Path = PHRASES) -> Stock:
     return stock
 
 
+def _misspellings(lines: list[str]) -> dict[str, list[str]]:
+    """From lines "word: spelling, spelling"."""
+    return {word: spellings.split(", ") for word, _, spellings in (line.partition(": ") for line in lines)}
+
+
 _CHOICE = re.compile(r"\(([^()\[\]]*\|[^()\[\]]*)\)|\[([^()\[\]]*)\]")
 _TAILGATING = re.compile(r"tailgat|bumper|backside|behind him|gap|metre|half a second|bother|limit|allowed|legal|"
     r"no matter"
@@ -108,6 +116,8 @@ class Generator:
                         and slots.get("overtake") != "false" and (frame.imperative or frame.language != "en")):
                     self._plain[frame.language].append(frame)
         self._imperatives = [f for f in stock.frames if f.imperative]
+        self._heard = _misspellings(stock.words["en", "heard"])
+        self._chat = {language: _misspellings(stock.words[language, "chat"]) for language in (*LANGUAGES, "other")}
         self._groups: dict[tuple[str, bool], tuple[list[list[Frame]], list[float]]] = {}
 
     @staticmethod
@@ -170,35 +180,36 @@ class Generator:
                 text = text.replace(mark, number(frame.language))
         return re.sub(r"\s+", " ", text).strip()
 
-    def _number(self, n: int, language: str) -> str:
+    def _number(self, n: int, language: str, unit: str) -> str:
         if language in SPELLING_LANGUAGES and self._r.random() < 0.35:
-            return self._r.choice(spelled(language).get(n, (str(n),)))
-        return str(n)
+            return f"{self._r.choice(spelled(language).get(n, (str(n),)))} {unit.strip()}".rstrip()
+        return f"{n}{unit}"
 
     def _speed(self, language: str) -> str:
         name = language if language in _SPEED_UNITS else "other"
         unit = self._r.choice(_SPEED_UNITS[name])
-        low, high = (30, 110) if unit.strip()[:1] == "m" and "h" in unit else (15, 49) if "s" in unit else (30, 170)
+        one = quantities(f"50{unit}")[0].value / 50  # [m/s]
+        low, high = round(8 / one), int(1.48 * LIMIT_MPS / one)
         n = self._r.choice((self._r.randint(low, high), 5 * self._r.randint(low // 5 + 1, high // 5)))
         if self._r.random() < 0.35:
             unit = ""
-        return f"{self._number(n, language)}{unit}"
+        return self._number(n, language, unit)
 
     def _delta(self, language: str) -> str:
         name = language if language in _SPEED_UNITS else "other"
         unit = self._r.choice(_SPEED_UNITS[name]) if self._r.random() < 0.7 else ""
-        return f"{self._number(self._r.choice((2, 3, 5, 10, 15, 20, 25, 30)), language)}{unit}"
+        return self._number(self._r.choice((2, 3, 5, 10, 15, 20, 25, 30)), language, unit)
 
     def _headway(self, language: str) -> str:
         name = language if language in _TIME_UNITS else "other"
         seconds, metres = _TIME_UNITS[name]
         if self._r.random() < 0.35:
-            return f"{self._number(5 * self._r.randint(5, 24), language)}{self._r.choice(metres)}"
+            return self._number(5 * self._r.randint(5, 24), language, self._r.choice(metres))
         if self._r.random() < 0.25:
             return f"{self._r.choice(('1.5', '2.5', '1,5', '2,5', '3.5', '1.2', '1.8'))}{self._r.choice(seconds)}"
         if language == "en" and self._r.random() < 0.15:
-            return f"{self._number(self._r.randint(1, 3), language)} and a half seconds"
-        return f"{self._number(self._r.randint(1, 6), language)}{self._r.choice(seconds)}"
+            return self._number(self._r.randint(1, 3), language, " and a half seconds")
+        return self._number(self._r.randint(1, 6), language, self._r.choice(seconds))
 
     def _dressed(self) -> Sample | None:
         """One phrase with a polite or rude beginning or end."""
@@ -362,7 +373,7 @@ class Generator:
             text = text.translate(_NO_ACCENTS)
             return re.sub(r"[^\w\s']", "", text).lower()
         if language == "en" and roll < 0.76:
-            return " ".join(self._r.choice((w, *_HEARD.get(w.lower(), (self._as_heard(w),)))) for w in words)
+            return " ".join(self._r.choice((w, *self._heard.get(w.lower(), (self._as_heard(w),)))) for w in words)
         if roll < 0.84:
             return self._as_texted(words, language)
         for _ in range(1 + len(text) // 30):
@@ -371,7 +382,7 @@ class Generator:
 
     def _as_texted(self, words: list[str], language: str) -> str:
         """A message typed in haste: shorthand, lost vowels, letters out of order, words run together."""
-        chat = _CHAT.get(language, {})
+        chat = self._chat[language]
         typed = []
         for word in words:
             roll, bare = self._r.random(), word.lower().strip(".,!?")
@@ -416,42 +427,6 @@ class Generator:
 _NO_ACCENTS = str.maketrans("àáâãäåçèéêëìíîïñòóôõöùúûü", "aaaaaaceeeeiiiinooooouuuu")
 _KEYS = {c: (row[max(i - 1, 0)] + row[min(i + 1, len(row) - 1)]).replace(c, "") or "e"
          for row in ("qwertyuiop", "asdfghjkl", "zxcvbnm") for i, c in enumerate(row)}
-_HEARD = {
-    "brake": ("break",), "braking": ("breaking",), "pass": ("past", "pas"), "past": ("passed", "pased"),
-    "right": ("write", "rite"), "lane": ("lain", "line"),
-    "slow": ("slo",), "slower": ("slowa", "sloer"), "faster": ("fasta", "fastr", "vaster"), "the": ("da", "teh", "ze"),
-    "that": ("dat",), "this": ("dis",), "you": ("u", "ya"), "your": ("ur", "yer"), "please": ("pls", "plz", "pleas"),
-    "are": ("r",), "to": ("too", "2"), "for": ("4", "fer"), "too": ("to", "2"), "going": ("goin",), "their": ("there",),
-    "car": ("kar",), "speed": ("sped", "speeed"), "left": ("lef", "lefft"), "overtake": ("over take", "ovatake"),
-    "him": ("'im", "hym"), "we're": ("were", "we are"), "I'm": ("im", "Im"), "i'm": ("im",), "don't": ("dont", "don"),
-    "can't": ("cant",), "hurry": ("hury", "hurrey"), "stop": ("stp", "stopp"), "closer": ("closa", "clozer"),
-    "gap": ("gapp",), "distance": ("distence", "distanse"), "truck": ("trick", "truk"), "lorry": ("lory",),
-    "and": ("n", "an"),
-    "want": ("wanna", "wan"), "because": ("cuz", "coz"), "it": ("et",), "pull": ("pool",), "over": ("ova",),
-    "ease": ("is", "eez"),
-}
-_CHAT: dict[str, dict[str, tuple[str, ...]]] = {
-    "en": {"you": ("u", "ya"), "are": ("r",), "to": ("2",), "too": ("2",), "for": ("4",), "please": ("pls", "plz"),
-           "and": ("n", "&"), "because": ("cuz", "bc"), "your": ("ur",), "you're": ("ur",), "we're": ("were",),
-           "going": ("goin",), "right": ("rite", "rgt", "rt"), "left": ("lft",), "slow": ("slo",), "lane": ("ln",),
-           "fast": ("fst",), "faster": ("fstr", "fastr"), "slower": ("slowr", "slwr"), "before": ("b4",),
-           "great": ("gr8",), "late": ("l8",), "wait": ("w8",), "don't": ("dont", "dnt"), "never": ("nvr",),
-           "minutes": ("mins",), "tomorrow": ("tmrw",), "the": ("da", "th"), "this": ("dis",), "that": ("dat", "tht"),
-           "what": ("wat", "wht"), "with": ("w/", "wit"), "people": ("ppl",), "want": ("wanna",), "us": ("uz",),
-           "through": ("thru",), "now": ("nw",), "speed": ("spd",), "distance": ("dist",), "would": ("wud",),
-           "seconds": ("secs",), "overtake": ("ovrtake",), "more": ("mor",), "stop": ("stp",), "back": ("bk",)},
-    "de": {"nicht": ("nich", "net"), "ich": ("i",), "ein": ("n",), "eine": ("ne",), "bitte": ("bidde", "pls"),
-           "und": ("u", "n"), "mal": ("ma",), "schneller": ("schnela", "schnller"), "ist": ("is",), "wir": ("wa",)},
-    "fr": {"c'est": ("c",), "s'il": ("sil",), "plus": ("+",), "moins": ("-",), "pas": ("pa",), "je": ("j",),
-           "que": ("k",), "quoi": ("koi",), "vite": ("vit",), "doucement": ("dousmen",), "tu": ("t",),
-           "suis": ("chui",)},
-    "es": {"que": ("q", "k"), "por": ("x",), "favor": ("fa",), "más": ("+", "mas"), "porque": ("xq",), "no": ("n",),
-           "rápido": ("rapido", "rpido"), "estamos": ("tamos",)},
-    "it": {"che": ("ke",), "non": ("nn",), "più": ("+", "piu"), "per": ("x",), "sono": ("sn",), "troppo": ("trp",)},
-    "pt": {"que": ("q",), "não": ("n", "nao"), "por": ("p",), "favor": ("fv",), "você": ("vc",), "mais": ("+", "mas"),
-           "está": ("tá", "ta"), "devagar": ("dvgr",)},
-    "nl": {"niet": ("nie", "ni"), "het": ("t",), "een": ("n",), "ik": ("k",), "even": ("ff",), "alsjeblieft": ("aub",)},
-}
 _SOUNDS = (("ck", "k"), ("ce", "se"), ("ee", "ea"), ("ea", "ee"), ("ss", "s"), ("ll", "l"), ("ght", "te"), ("ph", "f"),
            ("er", "a"), ("ing", "in"), ("th", "d"), ("wh", "w"), ("cc", "k"), ("oo", "u"), ("ai", "ay"), ("ke", "k"),
            ("ed", "t"), ("ou", "ow"), ("tt", "t"), ("le", "el"), ("s", "z"), ("c", "k"), ("e", ""))
