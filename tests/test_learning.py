@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
 import torch
 
 from fast_node.policy import load_policy
-from fast_node.training.learner import advantages, masked_distribution
+from fast_node.training.learner import LearnerConfig, advantages, masked_distribution, update
 from fast_node.training.network import ActorCritic
 from fast_node.training.train import export
 from schemas.features import FEATURES, features
@@ -36,6 +37,50 @@ def test_a_truncated_episode_is_bootstrapped_and_a_terminated_one_is_not():
 def test_closed_actions_have_no_probability():
     dist = masked_distribution(torch.zeros(1, 5), torch.tensor([[True, True, False, False, False]]))
     assert dist.probs[0].tolist() == [0.5, 0.5, 0.0, 0.0, 0.0]
+
+
+class Table(torch.nn.Module):
+    """The same five preferences and the same value for every state."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.logits, self.value = (torch.nn.Parameter(torch.zeros(n)) for n in (5, 1))
+
+    def forward(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return self.logits.expand(len(x), 5), self.value.expand(len(x))
+
+
+def updated(log_ratio: float = 0.0, **config: float) -> tuple[Table, dict[str, float]]:
+    """One step of size 1 on two decisions, actions 0 and 1, whose advantages are 1 and -1 and value targets 1 and 3."""
+    net = Table()
+    batch = {"x": torch.zeros(2, 1), "is_open": torch.ones(2, 5, dtype=torch.bool), "action": torch.tensor([0, 1]),
+             "log_prob": torch.full((2,), math.log(0.2) - log_ratio), "advantage": torch.tensor([1.0, -1.0]),
+             "value_target": torch.tensor([1.0, 3.0])}
+    settings = LearnerConfig(epochs=1, max_grad_norm=1e9, **config)
+    return net, update(net, torch.optim.SGD(net.parameters(), lr=1.0), settings, batch, torch.Generator())
+
+
+def test_an_update_follows_the_hand_computed_policy_gradient():
+    # advantages / their deviation, sqrt(2): +-0.7071; -grad = mean of a * (onehot - p), in which p cancels
+    net, _ = updated()
+    assert net.logits.tolist() == pytest.approx([0.35355, -0.35355, 0, 0, 0], abs=1e-5)
+
+
+def test_an_update_follows_the_hand_computed_value_gradient():
+    net, _ = updated(value_weight=0.25)  # -0.25 * mean of 2 (0 - 1) and 2 (0 - 3)
+    assert net.value.item() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("target_kl", "steps"), [(0.204, 0), (0.206, 1)])
+def test_an_update_stops_where_the_hand_computed_divergence_leaves_the_trust_region(target_kl, steps):
+    _, figures = updated(log_ratio=math.log(2.0), target_kl=target_kl)  # 2 - 1 - ln 2 = 0.30685 = 1.5 * 0.20457
+    assert (figures["updates"], figures["approx_kl"]) == (steps, pytest.approx(0.30685, abs=1e-5))
+
+
+def test_a_preference_that_has_grown_enough_is_not_pushed_further():
+    net, _ = updated(log_ratio=math.log(1.3), clip=0.2, target_kl=1.0)  # only action 1 still pulls: -a r (e1 - p) / 2
+    pull = -0.7071 * 1.3 / 2
+    assert net.logits.tolist() == pytest.approx([-0.2 * pull, 0.8 * pull, *[-0.2 * pull] * 3], abs=1e-4)
 
 
 def test_the_exported_policy_answers_as_torch_does(tmp_path):

@@ -60,7 +60,8 @@ def update(
 ) -> dict[str, float]:
     """One policy update from a batch of x, is_open, action, log_prob, advantage, value_target; returns its losses.
 
-    The trust region: epochs stop once the mean KL(old || new) exceeds `target_kl`.
+    The trust region: no step is made from where a minibatch's mean KL(old || new), estimated as E[r - 1 - ln r] with
+    r = pi / pi_old, exceeds 1.5 `target_kl`.
     """
     n = len(batch["action"])
     kl = policy_loss = value_loss = 0.0
