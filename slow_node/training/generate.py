@@ -64,7 +64,7 @@ class Sample:
 
 
 def load_stock(folder: Path = PHRASES) -> Stock:
-    """Read the phrase files. Raises ValueError naming the line with an unknown slot or value."""
+    """Read the phrase files. Raises ValueError naming the line with an unknown slot or value, or with brackets only."""
     stock = Stock()
     for path in sorted(folder.glob("*.txt")):
         language, words, imperative = path.stem, "", False
@@ -83,6 +83,8 @@ def load_stock(folder: Path = PHRASES) -> Stock:
             elif words and line.strip():
                 stock.words[language, words].append(line.strip("\n"))
             elif line.strip():
+                if not _OPTIONAL.sub("", _OPTIONAL.sub("", line)).strip():  # they nest once
+                    raise ValueError(f"{path.name}:{number}: nothing of this phrase need be said")
                 stock.frames.append(Frame(line.strip(), language, label, imperative))
     return stock
 
@@ -92,6 +94,7 @@ def _misspellings(lines: list[str]) -> dict[str, list[str]]:
     return {word: spellings.split(", ") for word, _, spellings in (line.partition(": ") for line in lines)}
 
 
+_OPTIONAL = re.compile(r"\[[^\[\]]*\]")
 _CHOICE = re.compile(r"\(([^()\[\]]*\|[^()\[\]]*)\)|\[([^()\[\]]*)\]")
 _TAILGATING = re.compile(r"tailgat|bumper|backside|behind him|gap|metre|half a second|bother|limit|allowed|legal|"
     r"no matter"

@@ -2,7 +2,7 @@
 
     python -m slow_node.training.train [--out FOLDER] [--size N] [--epochs N] [--seed N]
 
-One thread, an hour: five epochs from nothing, then a warm restart of one epoch from what was written. Every epoch
+One thread, an hour: four epochs from nothing, then a warm restart of one epoch from what was written. Every epoch
 has new commands; the same seed on the same machine gives the same weights, to the last bit.
 5 % of the hand-written frames (not of the sentences made from them) are held out; on what is made of those the
 temperatures of the heads are fitted, and the figures in the sidecar are measured.
@@ -333,7 +333,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=DELTA.parent)
     parser.add_argument("--size", type=int, default=45_000)
-    parser.add_argument("--epochs", type=int, default=5)
+    parser.add_argument("--epochs", type=int, default=4)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     train(options.out, options.size, options.epochs, options.seed)
