@@ -7,7 +7,18 @@ from collections import Counter
 
 import pytest
 
-from slow_node.evaluation.score import DEV_SET, KINDS, LineError, read_lines, score, table, wilson95
+from slow_node.evaluation.score import (
+    DEV_SET,
+    KINDS,
+    LineError,
+    exam_texts,
+    plain_text,
+    read_lines,
+    score,
+    table,
+    wilson95,
+)
+from slow_node.seeds import read_seeds
 
 EMPTY = {"speed": None, "target_speed_mps": None, "lane": None, "gap": None, "headway_s": None, "overtake": None,
          "cancel": False}
@@ -121,3 +132,7 @@ def test_the_development_set_is_well_formed():
         assert row["slots"]["headway_s"] is None or row["slots"]["headway_s"] >= 1.0, row["id"]
         if row["slots"]["cancel"]:
             assert row["slots"] == {**EMPTY, "cancel": True}, row["id"]
+
+
+def test_no_example_that_ships_is_a_command_of_an_exam() -> None:
+    assert not exam_texts() & {plain_text(seed.command) for seed in read_seeds()}

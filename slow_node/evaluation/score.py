@@ -1,21 +1,25 @@
 """How well an interpreter of commands does on labelled ones: pure functions from two lists of lines to one result.
 
-`score(gold, output)` compares by id. Gold lines are those of `dev.jsonl` (id, kind, text, outcome, slots), output lines
-those of `fastslow interpret` (id, outcome, slots; further keys are ignored). LABELS.md says what a label means.
+`score(gold, output)` compares by id. Gold lines are those of a labelled set (id, kind, text, outcome, slots), output
+lines those of `fastslow interpret` (id, outcome, slots; further keys are ignored). LABELS.md says what a label means.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from slow_node.numbers import fold
+
 SCHEMA: Final = "fastslow.interpret-score/1"
 DEV_SET: Final = Path(__file__).with_name("dev.jsonl")
+BLIND_SET: Final = DEV_SET.with_name("blind.jsonl")
 KINDS: Final = (
     "direct", "indirect", "negated", "compound", "correction", "numeric", "noisy", "multilingual",
     "unsafe", "injection", "out_of_scope", "unclear", "cancel",
@@ -55,6 +59,16 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
             raise LineError(f"{path.name} line {number}: {type(row).__name__}, not an object; write {{...}}")
         rows.append(row)
     return rows
+
+
+def plain_text(text: str) -> str:
+    """What two commands have in common that differ in case and punctuation only."""
+    return " ".join(re.findall(r"\w+", fold(text)))
+
+
+def exam_texts() -> set[str]:
+    """The plain texts of the labelled sets: commands that nothing may be trained on or prompted with."""
+    return {plain_text(row["text"]) for path in (DEV_SET, BLIND_SET) for row in read_lines(path)}
 
 
 def wilson95(successes: int, n: int) -> list[float]:

@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from slow_node.evaluation.score import exam_texts, plain_text
 from slow_node.numbers import SPELLING_LANGUAGES, quantities, spelled
 from slow_node.reader import HEADS, with_numbers
 from slow_node.slots import Slots
@@ -458,6 +459,8 @@ _TIME_UNITS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 
 def seeds(stock: Stock, seed: int) -> Iterator[dict[str, object]]:
     """Examples for the memory bank: some English phrases of every label, one of the main labels elsewhere."""
+    exam = exam_texts()
+    stock = Stock([frame for frame in stock.frames if plain_text(frame.text) not in exam], stock.words)
     generator = Generator(stock, seed)
     r = random.Random(seed)
     groups: dict[tuple[str, tuple[tuple[str, str], ...]], list[Frame]] = defaultdict(list)

@@ -14,7 +14,6 @@ import argparse
 import json
 import math
 import random
-import re
 import sys
 import time
 import zlib
@@ -30,8 +29,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from slow_node.embedding import DELTA, MAX_TOKENS, WEIGHTS_PACKAGE, package_file
-from slow_node.evaluation.score import DEV_SET, read_lines
-from slow_node.numbers import fold, in_digits
+from slow_node.evaluation.score import exam_texts, plain_text
+from slow_node.numbers import in_digits
 from slow_node.reader import BUCKETS, HEADS, grams
 from slow_node.training.generate import Generator, Sample, Stock, load_stock
 
@@ -42,7 +41,6 @@ TARGETS = ("attention.self.query", "attention.self.key", "attention.self.value",
 BATCH = 48
 LEARNING_RATE = 1.2e-3
 RESTARTS = 1
-EXAMS = (DEV_SET, DEV_SET.with_name("blind.jsonl"))
 
 
 class Encoder(nn.Module):
@@ -126,7 +124,7 @@ class Data:
 
     def __init__(self, samples: list[Sample], tokenizer: Tokenizer | None) -> None:
         """Without a tokenizer: n-grams only. Texts of the labelled sets are left out."""
-        exam = {plain_text(row["text"]) for path in EXAMS for row in read_lines(path)}
+        exam = exam_texts()
         samples = [s for s in samples if plain_text(s.text) not in exam]
         self.samples = samples
         texts = [in_digits(s.text) for s in samples]
@@ -204,11 +202,6 @@ def temperatures(logits: dict[str, Tensor], labels: Tensor) -> dict[str, float]:
         losses = [float(functional.cross_entropy(values[rows] / t, labels[rows, column])) for t in grid]
         found[name] = grid[losses.index(min(losses))]
     return found
-
-
-def plain_text(text: str) -> str:
-    """What two commands have in common that differ in case and punctuation only."""
-    return " ".join(re.findall(r"\w+", fold(text)))
 
 
 def learn_spelling(network: Network, data: Data, seed: int, epochs: int = 5, rate: float = 4e-3,
