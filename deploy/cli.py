@@ -206,7 +206,8 @@ def study(
     steps: Annotated[int, typer.Option(min=256, help="Decisions per run.")] = 100_000,
     jobs: Annotated[int, typer.Option(min=1, help="Runs side by side.")] = 2,
     quick: Annotated[bool, typer.Option(
-        "--quick", help="Our learner only, 10,000 decisions; exit code 1 if it learns too little.")] = False,
+        "--quick", help="Our learner only, 10,000 decisions, always anew, in --out/quick; exit code 1 if it learns too "
+                        "little.")] = False,
     as_json: Json = False,
 ) -> None:
     """Compare our learner with PPO, DQN and A2C over several seeds; run again to go on."""
@@ -223,12 +224,15 @@ def study(
 def evaluate(
     agent: Annotated[list[str] | None, typer.Option(
         help="Who drives; may be repeated: see the table it prints. dilu-paused and dilu-running ask a language model "
-             "every second: minutes per episode.", show_default="ours")] = None,
+             "every second: minutes per episode.", show_default="whom --checkpoint was trained as, or ours")] = None,
     scenario: Annotated[list[str] | None, typer.Option(
         help="Where; may be repeated.", show_default="highway, merge, two-way")] = None,
     everything: Annotated[bool, typer.Option("--all", help="Every agent on every scenario.")] = False,
-    checkpoint: Annotated[Path | None, typer.Option(help="A policy; by default the one that drives.")] = None,
-    episodes: Annotated[int, typer.Option(min=1, help="How many, with seeds from 1000.")] = 100,
+    checkpoint: Annotated[Path | None, typer.Option(
+        metavar="FILE", help="A policy of ours or of a baseline, in the place of its agent's own.",
+        show_default="the shipped ones")] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="How many, each with its own seed.")] = 100,
+    first_seed: Annotated[int, typer.Option(min=0, help="Of the first episode; the others follow.")] = 1000,
     directive: Annotated[str, typer.Option(
         help="Asked for: full speed in any lane (hurry), in a drawn lane (lane), or any wish (random).")] = "hurry",
     wish: Annotated[float | None, typer.Option(
@@ -241,9 +245,9 @@ def evaluate(
         from sim_node.scenarios import SCENARIOS
 
         result = evaluate_all(
-            list(AGENTS) if everything else agent or ["ours"],
+            list(AGENTS) if everything else agent or None,
             list(SCENARIOS) if everything else scenario or ["highway", "merge", "two-way"],
-            episodes, checkpoint=checkpoint, directive=cast(Directive, directive), wish_mps=wish,
+            episodes, first_seed=first_seed, checkpoint=checkpoint, directive=cast(Directive, directive), wish_mps=wish,
             progress=lambda text: typer.echo(text, err=True))
     typer.echo(json.dumps(result) if as_json else table(result))
 

@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fast_node.coordination import ASSERTIVE_HEADWAY_S
-from fast_node.mask import lane_table
+from fast_node.mask import OPEN, lane_table
 from fast_node.mlp import BASELINES, load_mlp, shipped
-from fast_node.policy import SHIPPED, load_policy
+from fast_node.policy import SHIPPED, load_policy, read_sidecar
 from fast_node.rule import rule_logits
 from fast_node.training.rollout import DECISION_TICKS, Driver, Fleet, Task
 from schemas.messages import POLICY_ACTIONS, MetaAction
+from schemas.process import ConfigError
 from schemas.wish import ANY_LANE
 from sim_node.engine.batched import HZ, Batched
 from sim_node.metrics import EpisodeResult, Recorder, summarise
@@ -83,6 +84,8 @@ AGENTS: dict[str, str] = {
 """What drives, by name."""
 MASKED = ("ours", "rule", *(f"{name}-masked" for name in BASELINES))
 """Those behind the mask."""
+USE_OURS = ("ours-unmasked", "rule")
+"""Those that a checkpoint of ours changes, too: it brings the mask's preset."""
 LANGUAGE: dict[str, str] = {
     "dilu-paused": "a language model alone, one decision a second (DiLu's method); the world waits while it thinks",
     "dilu-running": "the same, and the world goes on while it thinks",
@@ -118,15 +121,38 @@ def record(fleet: Fleet, scenario: Scenario, step: Callable[[int], NDArray[np.bo
     w = fleet.world
     recorder, active = Recorder(scenario, len(fleet.wish)), np.ones(len(fleet.wish), np.bool_)
     for tick in range(round(scenario.duration_s * HZ)):
+        lane, held = w.target_lane.copy(), w.previous_lane < 0
         overridden = step(tick)
+        way_open = held & way_is_open(fleet, lane)
         if tick % DECISION_TICKS == 0 and not scenario.wish_lanes:
             overtake_on(fleet)
         recorder.tick(w.rows, w.accel, w.target_lane, w.previous_lane, w.crashed, active, fleet.wish, fleet.v_des,
-                      overridden)
+                      overridden, way_open)
         active &= ~fleet.over()
         if not active.any():
             break
     return recorder.results()
+
+
+def way_is_open(fleet: Fleet, lane: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(S,) where the change from `lane` towards the wished lane was open when the fleet looked last; without a mask:
+    where another lane is wished."""
+    side = np.where(fleet.wish < lane, int(MetaAction.LEFT), int(MetaAction.RIGHT))
+    is_open = fleet.rule[np.arange(len(lane)), side] == OPEN
+    return np.asarray((fleet.wish != ANY_LANE) & (fleet.wish != lane) & is_open)
+
+
+def trained_as(checkpoint: Path) -> str:
+    """The agent whose policy lies in `checkpoint`: "ours", or a baseline such as "ppo-bare".
+
+    Raises `ConfigError` for a file that is neither.
+    """
+    sidecar = read_sidecar(checkpoint)
+    algorithm = sidecar.get("algorithm", "ours")
+    agent = "ours" if algorithm == "ours" else f"{algorithm}-{sidecar.get('variant')}"
+    if agent not in AGENTS:
+        raise ConfigError(f"{checkpoint.name} holds {agent!r}, which this code does not know: train anew")
+    return agent
 
 
 def drive(
@@ -134,7 +160,8 @@ def drive(
     directive: Directive = "hurry", wish_mps: float | None = None,
 ) -> list[EpisodeResult]:
     """One episode per seed, with that seed's traffic and a directive from the start (see `Directive`), and with
-    another wished speed than that where one is given.
+    another wished speed than that where one is given. `checkpoint` takes the place of the shipped policy of the agent
+    that it was trained as; ours also brings the mask's preset, for whoever drives behind the mask.
 
     Raises `ConfigError` for an unusable checkpoint and ValueError for an unknown agent.
     """
@@ -144,7 +171,8 @@ def drive(
         raise ValueError(f"agent {agent!r} is not one of: {', '.join([*AGENTS, *LANGUAGE])}")
     n = len(seeds)
     world = Batched(scenario, n, 0, ego="idm" if agent == "idm" else "executor")
-    policy = load_policy(checkpoint or SHIPPED)
+    own = trained_as(checkpoint) if checkpoint else None
+    policy = load_policy(checkpoint if checkpoint and own == "ours" else SHIPPED)
     preset = str(policy.sidecar["mask_preset"])
     fleet = Fleet(world, task_of(scenario, preset), masked=agent in MASKED)
     for i, seed in enumerate(seeds):
@@ -153,7 +181,7 @@ def drive(
         fleet.v_des[:] = wish_mps
     algorithm, _, variant = agent.partition("-")
     if algorithm in BASELINES:
-        logits: Logits = load_mlp(shipped(algorithm, variant)).logits
+        logits: Logits = load_mlp(checkpoint if checkpoint and own == agent else shipped(algorithm, variant)).logits
     elif algorithm == "ours":
         logits = policy.logits
     elif agent == "rule":
@@ -222,10 +250,20 @@ def _drive_language(
 
 
 def evaluate_all(
-    agents: Sequence[str], scenarios: Sequence[str], episodes: int, *, checkpoint: Path | None = None,
-    directive: Directive = "hurry", wish_mps: float | None = None, progress: Callable[[str], None] = lambda _: None,
+    agents: Sequence[str] | None, scenarios: Sequence[str], episodes: int, *, first_seed: int = FIRST_SEED,
+    checkpoint: Path | None = None, directive: Directive = "hurry", wish_mps: float | None = None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """A row per agent and scenario, over the seeds from `FIRST_SEED`; per scenario the seeds that nobody survived."""
+    """A row per agent and scenario, over the seeds from `first_seed`; per scenario the seeds that nobody survived.
+
+    Without agents the one whose policy is in `checkpoint`, or ours. Raises `ConfigError` for a checkpoint that none of
+    the agents uses, and as `drive` does.
+    """
+    own = trained_as(checkpoint) if checkpoint else "ours"
+    agents = [own] if agents is None else agents
+    if checkpoint and not set(agents) & {own, *(USE_OURS if own == "ours" else ())}:
+        raise ConfigError(f"{checkpoint.name} drives as {own}, not as {', '.join(agents)}: choose --agent {own}")
+    seeds = range(first_seed, first_seed + episodes)
     rows, unsurvived = [], {}
     for name in scenarios:
         if name not in SCENARIOS:
@@ -233,7 +271,6 @@ def evaluate_all(
         died = set(range(episodes))
         for agent in agents:
             progress(f"{agent} on {name}")
-            seeds = range(FIRST_SEED, FIRST_SEED + episodes)
             more: dict[str, Any] = {}
             if agent in LANGUAGE:
                 results, more["llm"] = _drive_language(agent, SCENARIOS[name], seeds, directive)
@@ -243,9 +280,9 @@ def evaluate_all(
             died &= {i for i, r in enumerate(results) if r.collided}
             good = sum(r.success for r in results)
             rows.append({
-                "agent": agent, "scenario": name, "speed_set": SCENARIOS[name].speed_set, "first_seed": FIRST_SEED,
+                "agent": agent, "scenario": name, "speed_set": SCENARIOS[name].speed_set, "first_seed": first_seed,
                 "success_ci95": wilson95(good, episodes), **_numbers(summarise(results)), **more})
-        unsurvived[name] = sorted(FIRST_SEED + i for i in died)
+        unsurvived[name] = sorted(first_seed + i for i in died)
     return {"schema": SCHEMA, "directive": directive, "wish_mps": wish_mps, "rows": rows, "unsurvived": unsurvived}
 
 
@@ -261,13 +298,14 @@ def _numbers(figures: dict[str, float]) -> dict[str, float | None]:
 def table(result: dict[str, Any]) -> str:
     """The rows as plain text, one line each."""
     lines = [f"{'scenario':<16}{'agent':<14}{'success':>22}{'own':>5}{'hit':>5}{'speed':>7}{'a var':>7}{'min TTC':>9}"
-             f"{'lane ok':>9}{'speed ok':>9}{'masked':>8}"]
+             f"{'lane ok':>9}{'feasible':>9}{'of these':>9}{'speed ok':>9}{'masked':>8}"]
     for r in result["rows"]:
         low, high = r["success_ci95"]
         good = f"{100 * r['success']:.1f} % ({100 * low:.0f}-{100 * high:.0f})"
         lines.append(
             f"{r['scenario']:<16}{r['agent']:<14}{good:>22}{r['ego_fault_collisions']:>5}{r['struck_collisions']:>5}"
             f"{r['avg_speed']:>7.2f}{r['accel_var']:>7.2f}{r['min_ttc_mean']:>9.2f}{100 * r['lane_compliance']:>8.1f}%"
+            f"{_percent(r['lane_feasible']):>9}{_percent(r['lane_compliance_feasible']):>9}"
             f"{_percent(r['speed_compliance']):>9}{100 * r['override_share']:>7.1f}%")
     lines += [f"{name}: nobody survived {', '.join(map(str, seeds))}" for name, seeds in result["unsurvived"].items()
               if seeds and len(result["rows"]) > 1]

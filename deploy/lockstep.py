@@ -101,7 +101,7 @@ def draw(episode: Episode, told_s: float, path: Path) -> None:
     lane.step(time_s, episode.lanes, color="tab:green", where="post")
     marks = [(told_s, "told to overtake", "black")]
     for event in episode.events:
-        if event.kind == "overridden":
+        if event.kind == "overridden" and event.duration_s > 0:
             marks.append((event.tick / HZ, f"delayed {event.duration_s:.0f} s: {event.rule}", "tab:red"))
         elif event.kind == "fulfilled":
             marks.append((event.tick / HZ, "fulfilled", "tab:green"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import sys
 from collections.abc import Iterator
@@ -45,10 +44,9 @@ def _bank(path: Path | None) -> Iterator[Memory]:
 
 
 def _row(example: Example) -> dict[str, Any]:
-    return {"id": example.id, "command": example.command, "scene": example.scene,
-            "slots": json.loads(example.slots.compact()), "outcome": example.outcome,
-            "took_s": round(example.took_s, 1),
-            "min_ttc_s": None if math.isinf(example.min_ttc_s) else round(example.min_ttc_s, 1)}
+    from slow_node.memory import Row
+
+    return {**Row.of(example).model_dump(), "slots": json.loads(example.slots.compact())}
 
 
 def _seconds(value: float | None) -> str:
@@ -61,15 +59,19 @@ def list_(
     as_json: Json = False,
     seeds: Annotated[bool, typer.Option("--seeds", help="What was shipped as well.")] = False,
 ) -> None:
-    """What was learnt on the road: id, what came of it, time taken, smallest time to collision, command, decision."""
+    """What was learnt on the road.
+
+    A line is: id, how often fulfilled, last outcome, its time, smallest time to collision, command, decision.
+    """
     with _bank(bank) as memory:
         rows = [_row(e) for e in memory.examples() if seeds or not e.seed]
     if as_json:
         typer.echo(json.dumps(rows, ensure_ascii=False))
         return
     for row in rows:
-        typer.echo(f"{row['id']:>5}  {row['outcome']:<12} {row['took_s']:>6} s  TTC {_seconds(row['min_ttc_s'])}"
-                   f"  {row['command']}  {row['slots']}")
+        times = f"{row['fulfilled']}/{row['fulfilled'] + row['failed']}"
+        typer.echo(f"{row['id']:>5}  {times:>5}  {row['outcome']:<12} {row['took_s']:>6} s  "
+                   f"TTC {_seconds(row['min_ttc_s'])}  {row['command']}  {row['slots']}")
     typer.echo(f"{len(rows)} examples", err=True)
 
 
@@ -101,27 +103,50 @@ def export(target: Annotated[str, typer.Argument(help='A file, or "-".')] = "-",
     if target == "-":
         sys.stdout.write(lines)
     else:
-        Path(target).write_text(lines, "utf-8")
+        with _usable(target):
+            Path(target).write_text(lines, "utf-8")
 
 
 @app.command("import")
 def import_(source: Annotated[str, typer.Argument(help='JSON lines as `export` writes them, or "-".')],
             bank: Bank = None) -> None:
     """Learn examples from a file; what the bank knows already is merged. Nothing is kept unless every line is good."""
-    from slow_node.slots import Slots
+    from slow_node.memory import Row
 
-    text = sys.stdin.read() if source == "-" else Path(source).read_text("utf-8")
-    rows = []
-    for number, line in enumerate(text.splitlines(), 1):
+    with _usable(source):
+        text = sys.stdin.read() if source == "-" else Path(source).read_text("utf-8")
+    examples = []
+    for number, line in enumerate(text.split("\n"), 1):  # not splitlines: a command may hold U+2028
+        if not line.strip():
+            continue
         try:
-            row = json.loads(line)
-            rows.append((str(row["command"]), str(row["scene"]), Slots.model_validate(row["slots"]),
-                         str(row["outcome"]), float(row.get("took_s", 0.0)),
-                         math.inf if row.get("min_ttc_s") is None else float(row["min_ttc_s"])))
-        except (ValueError, KeyError, TypeError) as error:
-            typer.echo(f"fastslow: line {number}: {str(error).splitlines()[0]}", err=True)
-            raise typer.Exit(2) from None
+            examples.append(Row.model_validate_json(line).learnt())
+        except ValueError as error:
+            raise _wrong(f"line {number}: {_reason(error)}") from None
     with _bank(bank) as memory:
-        for row in rows:
-            memory.learn(*row)
-    typer.echo(f"{len(rows)} examples imported", err=True)
+        stored = memory.add(examples)
+    typer.echo(f"{stored} examples imported from {len(examples)} lines", err=True)
+
+
+def _reason(error: ValueError) -> str:
+    """One line: of pydantic's several, the first field and what is wrong with it."""
+    from pydantic import ValidationError
+
+    if not isinstance(error, ValidationError):
+        return str(error)
+    first = error.errors()[0]
+    return ": ".join(filter(None, [".".join(map(str, first["loc"])), first["msg"]]))
+
+
+def _wrong(why: str) -> typer.Exit:
+    typer.echo(f"fastslow: {why}", err=True)
+    return typer.Exit(2)
+
+
+@contextmanager
+def _usable(file: str) -> Iterator[None]:
+    """A file that cannot be read or written is the caller's mistake: one line and exit code 2."""
+    try:
+        yield
+    except (OSError, UnicodeDecodeError) as error:
+        raise _wrong(f"{file}: {getattr(error, 'strerror', None) or 'this is no UTF-8 text'}") from None

@@ -9,7 +9,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from schemas.realtime import Mode, resolve
+from schemas.realtime import Mode
 
 TCP_HOST = "127.0.0.1"
 DEFAULT_PORT = 7447
@@ -135,7 +135,7 @@ def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Pro
     def critical(name: str, *others: str) -> dict[str, object]:
         return {
             "bus": bus(name, *others),
-            "realtime": resolve(options.realtime),
+            "realtime": options.realtime,
             "trace": str((options.trace / f"{name}.trace").absolute()) if options.trace else "",
         }
 

@@ -31,7 +31,7 @@ from schemas.bus import Bus, BusConfig, BusError, open_bus
 from schemas.clock import NS
 from schemas.messages import Command
 from schemas.process import CONFIG, FAILED, OK, TRY_AGAIN
-from schemas.realtime import resolve
+from schemas.realtime import trial
 
 STEP_S = 0.05
 OVERTIME_S = 5.0
@@ -99,7 +99,7 @@ class _Run:
 
     def to_its_end(self) -> int:
         supervisor = self._supervisor
-        self._print(f"fastslow: {self._options.scenario}, realtime {resolve(self._options.realtime)}, "
+        self._print(f"fastslow: {self._options.scenario}, scheduling {trial(self._options.realtime)}, "
                     f"logs in {self._folder}/; speak to it with: fastslow say \"...\""
                     f"{'' if self._port == 7447 else f' --port {self._port}'}")
         with catch_signals(supervisor.kill) as signals:

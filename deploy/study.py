@@ -12,6 +12,7 @@ import importlib.util
 import json
 import multiprocessing
 import os
+import shutil
 import signal
 import sys
 import time
@@ -183,17 +184,21 @@ def run_study(
 ) -> int:
     """Run what is missing of the matrix, `jobs` cells side by side; write study.json and study.png; print the table.
 
-    Finished cells are kept in `out`/cells and skipped. `quick`: our learner on one road, 10,000 decisions; the exit
-    code is 1 if it learns too little. Raises ValueError for unknown names, and `ConfigError` for a package that is
-    missing.
+    Finished cells are kept in `out`/cells and skipped. `quick`: our learner on one road, 10,000 decisions, always anew
+    and in `out`/quick alone, which is emptied first; the exit code is 1 if it learns too little. Raises ValueError for
+    unknown names, and `ConfigError` for a package that is missing.
     """
     if quick:
+        out = out / "quick"
         algorithms, scenarios, seeds, steps = ("ours",), (QUICK_SCENARIO,), QUICK_SEEDS, QUICK_STEPS
     cells = cells_of(algorithms, scenarios, seeds, steps, EPISODES)
     for package, extra, wanted in (("torch", "train", True), ("matplotlib", "train", True),
                                    ("stable_baselines3", "baselines", any(c.algorithm != "ours" for c in cells))):
         if wanted and importlib.util.find_spec(package) is None:
             raise ConfigError(f"{package} is missing: pip install 'fastslow[{extra}]'")
+    if quick and out.exists():
+        shutil.rmtree(out)
+    out.mkdir(parents=True, exist_ok=True)
     results = run_cells(cells, out / "cells", jobs)
     rows = summary_of(results)
     study = {"schema": SCHEMA, "cells": results, "summary": rows, "claims": claims_of(rows)}

@@ -6,18 +6,36 @@ The wish is what the policy is conditioned on (lane, speed, headway). It never r
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass, field
 
 from fast_node.mask import REAR_GAP, RULES
 from schemas.clock import NS
 from schemas.measures import gap_m
-from schemas.messages import Closure, Directive, Event, MetaAction, Observation
+from schemas.messages import Closure, Directive, Event, EventKind, MetaAction, Observation
 from schemas.wish import ANY_LANE, SPEED_TOLERANCE_MPS, Wish, lead_of, wished_lane
 
 HEADWAY_SHARE = 0.9
 """A wished headway is met with this share of it."""
 ASSERTIVE_HEADWAY_S, CALM_HEADWAY_S = 1.0, 2.0
 """Where the passenger wishes a style, but no headway."""
+ACCELERATES, CARRIED_OUT = "accelerates first", "and now carried out"
+"""Details of `overridden`: the limit replaces the wished speed; the change that was held back begins."""
+SLOWER_MPS, SLOWER_S = 1.0, 1.0
+"""A wished speed is delayed once it is farther off than this while the mask allows no faster one for this long."""
+
+
+@dataclass
+class _Hold:
+    """What the mask holds back."""
+
+    since: int
+    """The tick at which it began."""
+    why: Closure
+    """By which rule now."""
+    told: set[str] = field(default_factory=set)
+    """The rules that have been reported: each once."""
+    raised: bool = False
+    """Whether it has been reported that the ego accelerates first."""
 
 
 class Coordination:
@@ -31,14 +49,19 @@ class Coordination:
         self._done = True
         self._pass_id = -1
         self._eager = False
-        self._waiting_since = -1
-        self._waiting: Closure | None = None
+        self._since = -1
+        self._why: Closure | None = None
+        self._change: _Hold | None = None
+        self._speed: _Hold | None = None
+        self._hurries = False
+        self._ego_mps = self._raise_mps = 0.0
 
     def wish(
         self, observation: Observation, rows: list[list[float]], directive: Directive | None, now_ns: int
     ) -> tuple[Wish, list[Event]]:
         """The wish for this tick, and events about the directive that it follows."""
         events: list[Event] = []
+        self._ego_mps = rows[0][3]
         if observation.epoch != self._epoch:
             self._epoch = observation.epoch
             self._cruise_mps = round(observation.target_speed_mps or rows[0][3])
@@ -50,7 +73,7 @@ class Coordination:
         home = self._home(observation)
         if current is not None and not self._done and now_ns - current.stamp_ns > current.ttl_s * NS:
             self._done = True
-            events.append(self._event("expired", current, observation))
+            events.append(self._event("expired", current, observation, self._why, self._since))
         if current is None or (self._done and current.manoeuvre != "cruise") or (
                 now_ns - current.stamp_ns > current.ttl_s * NS):
             return Wish(home, self._cruise_mps, self._headway_s), events
@@ -70,49 +93,91 @@ class Coordination:
             lane = current.target_lane
         elif current.target_lane is None and self._eager:
             lane = ANY_LANE  # whoever wants to get on does not mind where
-        if self._waiting is not None and self._waiting_since >= 0 and self._waiting.rule == RULES[REAR_GAP]:
-            speed = limit  # the paper's t = 20 s: accelerate first to widen the gap, then change
         speed = min(max(speed, 0.0), limit)
+        self._raise_mps = limit - speed
+        if self._change is not None:
+            self._hurries = self._change.why.rule == RULES[REAR_GAP]
+        elif observation.previous_lane < 0:
+            self._hurries = False
+        if self._hurries:
+            speed = limit  # the paper's t = 20 s: accelerate first to widen the gap, then change, without slowing down
         headway = current.headway_s or {"assertive": ASSERTIVE_HEADWAY_S, "calm": CALM_HEADWAY_S}.get(
             current.style, self._headway_s)
         wish = Wish(lane, speed, headway)
         if not self._done and self._fulfilled(current, observation, rows, wish, home):
             self._done = True
             self._cruise_mps = speed if current.manoeuvre != "stop" else 0.0
-            events.append(self._event("fulfilled", current, observation, since=current.scene_tick))
+            events.append(self._event("fulfilled", current, observation, self._why, self._since))
         return wish, events
 
     def verdict(
         self, observation: Observation, wish: Wish, closed: tuple[Closure, ...], meta: int
     ) -> list[Event]:
-        """Events for a wished lane change that the mask holds back, starts to hold back, or lets go."""
+        """Events for a wished lane change or speed that the mask holds back, by another rule now, or lets go."""
         current = self._directive
         if current is None or self._done:
-            self._waiting_since = -1
+            self._change = self._speed = None
             return []
         there = wish.lane in (ANY_LANE, observation.target_lane)
         side = MetaAction.LEFT if wish.lane < observation.target_lane else MetaAction.RIGHT
-        held = None if there else next((c for c in closed if c.action == side), None)
-        if held is not None and self._waiting_since < 0:
-            self._waiting_since, self._waiting = observation.tick, held
-            return [self._event("delayed", current, observation, held)]
-        if held is None and self._waiting_since >= 0:
-            since, why = self._waiting_since, self._waiting
-            if there:  # no longer asked for
-                self._waiting_since = -1
-            elif meta == side:
-                self._waiting_since = -1
-                return [self._event("overridden", current, observation, why, since=since, detail="and now carried out")]
-        return []
+        by = None if there else next((c for c in closed if c.action == side), None)
+        held = self._change
+        if by is not None:
+            held = self._change = held or _Hold(observation.tick, by)
+            held.why = by
+            if self._speed is not None and not self._speed.told:
+                self._speed = None
+            events = self._delayed(held, current, observation)
+            if by.rule == RULES[REAR_GAP] and self._raise_mps > 0.0 and not held.raised:
+                held.raised = True
+                events.append(self._event("overridden", current, observation, by, held.since, ACCELERATES))
+            return events
+        if held is not None and there:  # no longer asked for
+            self._change = None
+        elif held is not None and meta == side:
+            self._change = None
+            return [self._event("overridden", current, observation, held.why, held.since, CARRIED_OUT)]
+        return self._slower(current, observation, wish, closed, there)
+
+    def _slower(
+        self, directive: Directive, observation: Observation, wish: Wish, closed: tuple[Closure, ...], there: bool
+    ) -> list[Event]:
+        """An event for a wished speed that the mask has kept out of reach for `SLOWER_S`: one until it is reached.
+
+        there: in the wished lane; elsewhere the lane comes first.
+        """
+        if wish.speed_mps - self._ego_mps <= SLOWER_MPS:
+            self._speed = None
+            return []
+        if self._speed is not None and self._speed.told:
+            return []
+        by = next((c for c in closed if c.action == MetaAction.SPEED_UP), None)
+        if by is None or not there:
+            self._speed = None
+            return []
+        held = self._speed = self._speed or _Hold(observation.tick, by)
+        held.why = by
+        late = observation.tick - held.since >= SLOWER_S * observation.hz
+        return self._delayed(held, directive, observation) if late else []
+
+    def _delayed(self, held: _Hold, directive: Directive, observation: Observation) -> list[Event]:
+        """That `held` is held back, once for each rule."""
+        self._why = held.why
+        if held.why.rule in held.told:
+            return []
+        held.told.add(held.why.rule)
+        return [self._event("delayed", directive, observation, held.why, held.since)]
 
     def _adopt(self, directive: Directive, observation: Observation, rows: list[list[float]]) -> None:
         previous = self._directive
         renewal = previous is not None and not self._done and previous.command_id == directive.command_id
         self._directive = directive
         self._done = False
+        if not renewal:
+            self._since, self._why = observation.tick, None
         if renewal and directive.manoeuvre == "overtake":
             return
-        self._pass_id, self._waiting_since = -1, -1
+        self._pass_id, self._change, self._speed, self._hurries = -1, None, None, False
         wanted = directive.target_speed_mps
         self._eager = directive.manoeuvre == "overtake" or (wanted is not None and wanted > self._cruise_mps)
         if directive.manoeuvre == "overtake":
@@ -153,12 +218,13 @@ class Coordination:
         return any(int(r[0]) == lead and gap_m(rows[0][1], r[1], rows[0][6], r[6])
                    < HEADWAY_SHARE * directive.headway_s * rows[0][3] for r in rows[1:])
 
+    @staticmethod
     def _event(
-        self, kind: Any, directive: Directive, observation: Observation, closure: Closure | None = None,
-        since: int = -1, detail: str = "",
+        kind: EventKind, directive: Directive, observation: Observation, closure: Closure | None, since: int,
+        detail: str = "",
     ) -> Event:
         return Event(
             epoch=observation.epoch, stamp_ns=observation.stamp_ns, kind=kind, node="fast", tick=observation.tick,
             rule=closure.rule if closure else "", vehicle=closure.vehicle if closure else -1, since_tick=since,
-            duration_s=(observation.tick - since) / observation.hz if since >= 0 else 0.0,
+            duration_s=(observation.tick - since) / observation.hz,
             directive_id=directive.id, command_id=directive.command_id, detail=detail)

@@ -4,7 +4,10 @@ It reads the state and never the directive. `close_actions` is plain arithmetic 
 on lists, and training compiles the same source with numba on arrays, so that there is one mask.
 
 The claims behind each rule are RSS distances (`schemas.measures`) with one of the named `PRESETS`: what the ego and the
-others are taken to do. They hold for traffic that does so, not for a real road.
+others are taken to do. They hold for traffic that does so, not for a real road. Only distances along the road are RSS.
+Sideways there is no RSS distance (its Definition 6): two cars are in each other's way where they overlap, are less than
+`SIDE_M` from it or will be there within `MEET_S`, and a car that moves sideways is also taken to be where it will be
+after `CUT_IN_S`. A follower is taken to see an ego that brakes with `ego_brake`, which an emergency brake exceeds.
 """
 
 from __future__ import annotations
@@ -16,7 +19,9 @@ from schemas.measures import CAR_LENGTH_M, gap_m, rss_opposite_m, rss_same_direc
 from schemas.messages import Lane, MetaAction
 from schemas.wish import BEHIND_M
 
-VERSION = "mask/3"
+VERSION = "mask/5"
+"""Of what `close_actions` and `choice` compute; tests/test_mask.py holds the code against it. A policy learns behind
+one version and drives behind no other."""
 
 SLOW_DOWN, CRUISE, SPEED_UP, LEFT, RIGHT, BRAKE = (int(a) for a in MetaAction)
 
@@ -285,7 +290,8 @@ def close_actions(
     """Write the rule that closes each action (`OPEN`: none) and the vehicle's id; return how many actions are open.
 
     rows: (V, 9) as `ROW_COLUMNS`, ego first, id < 0 for an absent vehicle; lanes: (L, 8) as `lane_table`; sight [m];
-    near: (3 L,) output of `survey`; rule, vehicle: (6,) outputs. EMERGENCY_BRAKE is always open.
+    near: (3 L,) output of `survey`; rule, vehicle: (6,) outputs. EMERGENCY_BRAKE is always open. Vehicle -1
+    beside a rule: none that is seen, but the road itself, the change under way, or a car assumed beyond sight.
     """
     ego = rows[0]
     x, y, v, length = ego[1], ego[2], ego[3], ego[6]
@@ -321,6 +327,9 @@ def close_actions(
         longest = max(longest, lanes[k][2])
     must_leave = lanes[target_lane][2] < longest
     lane_y = lanes[target_lane][0]
+    back = -1
+    if previous_lane >= 0:
+        back = LEFT if previous_lane < target_lane else RIGHT
     for i in range(1, len(rows)):
         row = rows[i]
         if row[0] < 0 or row[1] < x or row[3] < -0.1:
@@ -338,10 +347,12 @@ def close_actions(
         leaving = not in_lane
         if overlap and gap < (0.5 if leaving else 1.0) + rss_same_direction_m(
                 v, lead_v, p.reaction_s, 0.0, p.ego_brake + 1.0, p.lead_brake):
-            # While the two are still apart sideways the change may be given up; leaving a lane may go on.
+            # While the two are still apart sideways the change may be given up; leaving a lane may go on, but not back
+            # behind who is too close there.
             apart = aside > 0.0 and previous_lane >= 0 and int(ego[8]) == previous_lane
             for a in range(5):
-                if rule[a] == OPEN and a != SLOW_DOWN and not (a >= LEFT and (leaving or apart)):
+                if rule[a] == OPEN and a != SLOW_DOWN and not (
+                        a >= LEFT and (leaving or apart) and not (leaving and a == back)):
                     rule[a], vehicle[a] = LEAD, i
             rule[SLOW_DOWN], vehicle[SLOW_DOWN] = LEAD, i
         spare = gap - LEAVE_M if gap > LEAVE_M and must_leave else gap
@@ -386,7 +397,7 @@ def close_actions(
                         rule[a], vehicle[a] = GIVE_UP_CHANGE, behind
 
     # In the oncoming lane: finish the pass while that is possible, otherwise drop back behind the lead.
-    if away and rule[BRAKE] == OPEN:
+    if away:
         home = target_lane + 1
         oncoming = near[3 * target_lane + 2]
         state, who = passing(rows, lanes, near, home, target_lane, sight, p)

@@ -5,16 +5,14 @@ Axes: ... any batch axes, N vehicle rows, F features.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.numpy import load_file
 
 from fast_node.mask import VERSION as MASK_VERSION
+from fast_node.policy import read_sidecar, read_weights
 from schemas.features import FEATURES, LAYOUT_HASH, N_ROWS
 from schemas.process import ConfigError
 
@@ -56,15 +54,14 @@ def shipped(algorithm: str, variant: str) -> Path:
 
 def load_mlp(path: Path) -> MlpPolicy:
     """The policy in `path` with its `.json` sidecar. Raises `ConfigError` if missing, corrupt or made for others."""
-    try:
-        sidecar = json.loads(path.with_suffix(".json").read_text())
-        weights = load_file(path)
-    except FileNotFoundError as error:
-        raise ConfigError(f"no baseline at {error.filename}: train it with `fastslow train --algorithm`") from None
-    except (SafetensorError, json.JSONDecodeError, OSError) as error:
-        raise ConfigError(f"the baseline {path.name} is corrupt ({error}): train it anew") from None
+    sidecar, weights = read_sidecar(path), read_weights(path)
+    if sidecar.get("algorithm") not in BASELINES:
+        raise ConfigError(f"{path.name} holds no baseline: train one with `fastslow train --algorithm`")
     mask = None if sidecar.get("variant") == "bare" else MASK_VERSION
     for name, want in (("layout_hash", LAYOUT_HASH), ("mask", mask)):
         if sidecar.get(name) != want:
             raise ConfigError(f"{path.name} has {name} {sidecar.get(name)!r}, this code {want!r}: train it anew")
-    return MlpPolicy(weights, sidecar)
+    try:
+        return MlpPolicy(weights, sidecar)
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path.name} does not fit its sidecar ({error!r}): train it anew") from None

@@ -27,7 +27,7 @@ SHIPPED = Path(__file__).parent / "checkpoints" / "fastslow.safetensors"
 
 
 class Policy:
-    """softmax(W_pi z^(L) + b_pi) over the five meta-actions (paper Eq. 12), as logits.
+    """softmax(W_pi z^(L) + b_pi) over the five meta-actions (paper Eq. 13), as logits.
 
     The last layer is computed for the ego alone, and folded: see `training.network.Encoder.ego`. What follows its
     softmax and its ReLU is linear down to the logits, and so one small matrix.
@@ -73,7 +73,7 @@ class Policy:
 
     def _forward(self, x: Array) -> tuple[Array, Array]:
         present = x[..., 0] > 0
-        z: Array = x @ self._embed + self._embed_bias  # (..., N, D), Eq. 10
+        z: Array = x @ self._embed + self._embed_bias  # (..., N, D), Eq. 11
         for layer in self._below:
             z = layer.encode(z, present)
         u = normalised(z)
@@ -88,7 +88,7 @@ class Policy:
 
 
 class _Layer:
-    """An encoder layer below the last: Eq. 11 for every row, on a normalised input and with a residual term."""
+    """An encoder layer below the last: Eq. 12 for every row, on a normalised input and with a residual term."""
 
     def __init__(self, w: dict[str, Wide], p: str, heads: int) -> None:
         self._heads = heads
@@ -139,17 +139,42 @@ def _floats(*arrays: Wide) -> list[Array]:
 
 def load_policy(path: Path = SHIPPED) -> Policy:
     """The policy in `path` with its `.json` sidecar. Raises `ConfigError` if missing, corrupt or made for others."""
-    sidecar_path = path.with_suffix(".json")
-    try:
-        sidecar = json.loads(sidecar_path.read_text())
-        weights = load_file(path)
-    except FileNotFoundError as error:
-        raise ConfigError(f"no policy at {error.filename}: train one with `fastslow train`") from None
-    except (SafetensorError, json.JSONDecodeError, OSError) as error:
-        raise ConfigError(f"the policy {path.name} is corrupt ({error}): restore it or train one anew") from None
+    sidecar, weights = read_sidecar(path), read_weights(path)
+    if (algorithm := sidecar.get("algorithm", "ours")) != "ours":
+        raise ConfigError(f"{path.name} holds a baseline, {algorithm}: give the policy of `fastslow train`")
     for name, want in (("layout_hash", LAYOUT_HASH), ("mask", MASK_VERSION)):
         if sidecar.get(name) != want:
             raise ConfigError(f"{path.name} has {name} {sidecar.get(name)!r}, this code {want!r}: train anew")
     if (preset := sidecar.setdefault("mask_preset", "sim")) not in PRESETS:
         raise ConfigError(f"{path.name} has mask_preset {preset!r}, this code {', '.join(PRESETS)}: train anew")
-    return Policy(weights, sidecar)
+    found = len({name.split(".")[1] for name in weights if name.startswith("layers.")})
+    if sidecar.get("layers") != found:
+        raise ConfigError(f"{path.name} has {found} layers, its sidecar says {sidecar.get('layers')!r}: train anew")
+    try:
+        return Policy(weights, sidecar)
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path.name} does not fit its sidecar ({error!r}): train anew") from None
+
+
+def read_sidecar(path: Path) -> dict[str, Any]:
+    """The `.json` sidecar of a policy, ours or a baseline. Raises `ConfigError` if missing or corrupt."""
+    try:
+        sidecar = json.loads(path.with_suffix(".json").read_text())
+    except FileNotFoundError as error:
+        raise ConfigError(f"no policy at {error.filename}: train one with `fastslow train`") from None
+    except (ValueError, OSError) as error:
+        raise ConfigError(f"the policy {path.name} is corrupt ({error}): restore it or train one anew") from None
+    if not isinstance(sidecar, dict):
+        raise ConfigError(f"the policy {path.name} is corrupt (no sidecar): restore it or train one anew")
+    return sidecar
+
+
+def read_weights(path: Path) -> dict[str, Array]:
+    """Every array of a policy by its name. Raises `ConfigError` if missing or corrupt."""
+    try:
+        weights: dict[str, Array] = load_file(path)
+    except FileNotFoundError:
+        raise ConfigError(f"no policy at {path}: train one with `fastslow train`") from None
+    except (SafetensorError, OSError) as error:
+        raise ConfigError(f"the policy {path.name} is corrupt ({error}): restore it or train one anew") from None
+    return weights

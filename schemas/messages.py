@@ -191,10 +191,14 @@ class Reply(Message, frozen=True, kw_only=True, tag="reply"):
 
 
 EventKind = Literal["delayed", "vetoed", "overridden", "fulfilled", "expired", "superseded", "fault", "world"]
+"""What each means, and since when it counts, is in `schemas/README.md`."""
 
 
 class Event(Message, frozen=True, kw_only=True, tag="event"):
-    """Something that happened to a directive or to the run, with the rule that caused it and for how long."""
+    """Something that happened to a directive or to the run, with the rule that caused it and for how long.
+
+    About a directive, `rule` is the mask's; of one that has ended the last that held it up, "" if none did.
+    """
 
     kind: EventKind
     node: str
@@ -204,6 +208,7 @@ class Event(Message, frozen=True, kw_only=True, tag="event"):
     since_tick: int = -1
     """The tick at which the condition began; -1 when the event has no extent."""
     duration_s: float = 0.0
+    """From `since_tick` to `tick`."""
     directive_id: int | None = None
     command_id: int | None = None
     detail: str = ""

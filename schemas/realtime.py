@@ -1,9 +1,15 @@
-"""Scheduling of the latency-critical processes. It must be claimed before zenoh starts its threads: they inherit it."""
+"""Scheduling of the latency-critical processes. It must be claimed before zenoh starts its threads: they inherit it.
+
+Linux keeps a core, a priority and a class for each thread; only the weight of a session is of all its processes.
+"""
 
 from __future__ import annotations
 
 import os
+import resource
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Literal
 
@@ -14,6 +20,7 @@ PRIORITY = 50
 keeps 5 % of each core for the others whatever they do."""
 FIFO = f"SCHED_FIFO {PRIORITY}"
 NICE = -15
+"""What a plain user's mode asks for, and gets as far as RLIMIT_NICE goes, which is often nowhere."""
 
 
 def resolve(mode: Mode) -> Mode:
@@ -34,22 +41,69 @@ def _fifo_permitted() -> bool:
 
 
 def claim(mode: Mode) -> str:
-    """Take the scheduling that a mode comes to here, for this thread and those it starts, and say which. Never fails.
+    """Take the scheduling that a mode comes to here, for this thread and those it starts. Never fails.
 
-    A plain user may raise a priority as far as RLIMIT_NICE goes, which is often nowhere.
+    Returns what was really obtained: "SCHED_FIFO 50", "core 1, nice 0" or "off".
     """
+    said = _take(mode)
+    if resolve(mode) == "user" and (nice := os.getpriority(os.PRIO_PROCESS, 0)) < 0:
+        weigh_session(nice)
+    return said
+
+
+def trial(mode: Mode) -> str:
+    """What `claim` obtains here, found out on a thread that ends at once: this process stays as it is."""
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(_take, mode).result()
+
+
+def _take(mode: Mode) -> str:
+    """For the calling thread alone."""
     resolved = resolve(mode)
+    if resolved == "off":
+        return "off"
+    if resolved == "fifo":
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        return FIFO
+    said = f"{_pin()}nice {_raise_priority()}"
+    return f"{said} (SCHED_FIFO is not permitted)" if mode == "fifo" else said
+
+
+def shared_core() -> int:
+    """The core for both latency-critical processes: of those allowed the fastest, and of these the last.
+
+    They work in turns. On one core neither wakes another one up, nor is it moved to where something else computes.
+    """
+    return max(os.sched_getaffinity(0), key=lambda core: (_top_khz(core), core))
+
+
+def _top_khz(core: int) -> int:
+    """The highest clock rate of a core; 0 where the kernel does not tell (most virtual machines)."""
     try:
-        if resolved == "fifo":
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-            return FIFO
-        if resolved == "user":
-            os.setpriority(os.PRIO_PROCESS, 0, NICE)
-            _weigh_session(NICE)
-            return f"nice {NICE}"
-    except OSError as error:
-        return f"normal priority ({resolved}: {error.strerror})"
-    return "off"
+        return int(Path(f"/sys/devices/system/cpu/cpu{core}/cpufreq/cpuinfo_max_freq").read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        return 0
+
+
+def _pin() -> str:
+    core = shared_core()
+    try:
+        os.sched_setaffinity(0, {core})
+    except OSError:
+        return ""
+    return f"core {core}, "
+
+
+def _raise_priority() -> int:
+    """As far as it is permitted; returns the niceness that it then is."""
+    limit = 20 - resource.getrlimit(resource.RLIMIT_NICE)[0]
+    for nice in (NICE, max(NICE, limit)):  # the first one takes CAP_SYS_NICE, which knows no limit
+        if nice < os.getpriority(os.PRIO_PROCESS, 0):
+            try:
+                os.setpriority(os.PRIO_PROCESS, 0, nice)
+            except OSError:
+                pass
+    return os.getpriority(os.PRIO_PROCESS, 0)
 
 
 def may_poll(scheduling: str) -> bool:
@@ -57,8 +111,17 @@ def may_poll(scheduling: str) -> bool:
     return scheduling == FIFO and len(os.sched_getaffinity(0)) > 1
 
 
-def _weigh_session(nice: int) -> None:
-    """Linux with autogroups weighs whole sessions against each other, whatever the priorities within them."""
-    group = Path("/proc/self/autogroup")
-    if group.exists():
-        group.write_text(str(nice), encoding="ascii")
+def weigh_session(nice: int) -> None:
+    """Weigh this session against the others as `nice` would a process. Never fails.
+
+    Linux with autogroups shares each core between sessions first, whatever the priorities and classes within them but
+    for real-time ones. Everybody may lower a session's weight.
+    """
+    try:
+        with open("/proc/self/autogroup", "wb", buffering=0) as group:
+            for _ in range(10):
+                if group.write(str(nice).encode()) is not None:
+                    return
+                time.sleep(0.1)  # EAGAIN: the kernel allows one such change in 0.1 s, whoever asks for it
+    except OSError:  # no autogroups, or not permitted
+        pass

@@ -108,16 +108,21 @@ class RoundTrips:
 
 
 class Loop:
-    """The node, its round trips and the schedule, with the figures of the heartbeat."""
+    """The node, its round trips and the schedule, with the figures of the heartbeat.
 
-    def __init__(self, bus: Bus, node: SimNode, trips: RoundTrips, schedule: Schedule) -> None:
-        self._bus, self._node, self._trips, self._schedule = bus, node, trips, schedule
+    `dues` gets a row for every tick, in the order of the round trips' trace: when it was due and when its observation
+    had been encoded and handed to the bus, both CLOCK_MONOTONIC ns.
+    """
 
-    def publish(self) -> None:
-        """Publish the current tick."""
+    def __init__(self, bus: Bus, node: SimNode, trips: RoundTrips, schedule: Schedule, dues: Trace) -> None:
+        self._bus, self._node, self._trips, self._schedule, self._dues = bus, node, trips, schedule, dues
+
+    def publish(self, due_ns: int) -> None:
+        """Publish the current tick, which was due at `due_ns`."""
         observation = self._node.observation(time.monotonic_ns())
         self._trips.published(observation, time.monotonic_ns())
         self._bus.publish(OBSERVATION, observation)
+        self._dues.add(due_ns, time.monotonic_ns())
         for event in self._node.take_events():
             self._bus.publish(EVENT, event)
 
@@ -147,7 +152,7 @@ def warm_up(config: SimConfig) -> None:
 
 def main() -> None:
     config = load_config(SimConfig, sys.argv[1:])
-    trace = Trace(config.trace)
+    trace, dues = Trace(config.trace), Trace(config.trace and f"{config.trace}.due")
     warm_up(config)
     node = SimNode(config)
     node.reset(time.monotonic_ns() // 1_000_000)  # grows at every restart, so old actions can never be taken for new
@@ -160,20 +165,19 @@ def main() -> None:
         if bus.wait_for_reader(OBSERVATION, READER_S):
             time.sleep(SETTLE_S)
         schedule = Schedule(RehearsingClock(bus, poll), config.hz)
-        loop = Loop(bus, node, trips, schedule)
+        loop = Loop(bus, node, trips, schedule, dues)
         ticks = float("inf") if config.duration_s is None else config.duration_s * config.hz
         with Heartbeat(bus, "sim", loop.figures) as heart:
             heart.epoch = node.epoch
             log("sim", "ready", epoch=node.epoch, scenario=config.scenario, seed=config.seed, realtime=scheduling)
             try:
-                schedule.wait()
-                loop.publish()
+                loop.publish(schedule.wait())
                 while node.metrics.ticks + schedule.skipped < ticks:
-                    schedule.wait()
+                    due_ns = schedule.wait()
                     heart.begin()
                     node.advance(trips.newest, time.monotonic_ns())
                     heart.epoch = node.epoch
-                    loop.publish()
+                    loop.publish(due_ns)
                     heart.end()
                     if poll:
                         trips.poll()
@@ -182,6 +186,7 @@ def main() -> None:
                 heart.state = "stopping"
                 trips.closing = True
                 trace.save()
+                dues.save()
                 time.sleep(FAREWELL_S)
 
 

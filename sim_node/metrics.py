@@ -14,15 +14,19 @@ Everything is of the ego, along the road, at the tick rate; axes: S scenes, V ve
 * headway: bumper gap / own speed to the leader in the ego's lane, mean over the ticks that have one within 100 m and
   a speed above 1 m/s [s]; nan without any.
 * progress: distance driven [m]. lane changes: how often the target lane left the ego's lane.
-* compliance: share of episodes that reached the wished lane (any lane where none is wished); of the ticks in which it
-  was feasible, the share within 0.5 m/s of the wished speed: with no slower car less than `BLOCKED_S` ahead, no lane
-  change and no lane's end near, and that for long enough to get there at `ADAPT_MPS2`; seconds until the wished lane
-  was first reached (nan: never); share of ticks in it.
+* lane compliance: share of episodes that reached the wished lane (any lane where none is wished). It was feasible
+  where that lane was reached, or where in `LANE_OPEN_S` or more in all the ego held its lane and the mask left the next
+  change towards the wished one open. Without a mask every change is: then it is feasible wherever the lane exists.
+* speed compliance: of the ticks in which it was feasible, the share within 0.5 m/s of the wished speed: with no slower
+  car less than `BLOCKED_S` ahead, no lane change and no lane's end near, and that for long enough to get there at
+  `ADAPT_MPS2`.
+* time to comply: seconds until the wished lane was first reached (nan: never); in lane: share of ticks in it.
 * override share: ticks in which the mask decided against the driver.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -39,6 +43,7 @@ HEADWAY_SIGHT_M = 100.0
 SIDEWAYS_MPS = 0.3
 ADAPT_MPS2, ADAPT_S = 1.0, 4.0
 """A wished speed is due after its distance at this pace, a step of 1 m/s a second, and so long to settle."""
+LANE_OPEN_S = 1.0
 BLOCKED_S = 5.0
 ENDS_M = 300.0
 """Nearer to a lane's end than this, speed is for finding a gap."""
@@ -77,7 +82,19 @@ class EpisodeResult:
     speed_complied: int
     """Of those, within 0.5 m/s of it."""
     time_to_comply_s: float
+    lane_open_s: float
+    """In which the ego held its lane and could have begun to change towards the wished one."""
     override_share: float
+
+    @property
+    def lane_complied(self) -> bool:
+        """It reached the wished lane."""
+        return math.isfinite(self.time_to_comply_s)
+
+    @property
+    def lane_feasible(self) -> bool:
+        """It could have reached the wished lane, or did."""
+        return self.lane_complied or self.lane_open_s >= LANE_OPEN_S
 
 
 def leader(rows: Rows, lane: Ints) -> tuple[Floats, Floats]:
@@ -113,6 +130,7 @@ class Recorder:
     changes: Ints
     changing: Bools
     in_lane: Ints
+    could_lane: Ints
     in_speed: Ints
     could_speed: Ints
     free: Ints
@@ -137,8 +155,8 @@ class Recorder:
         fresh: dict[str, Any] = {
             "ticks": 0, "speed": 0.0, "fastest": -np.inf, "slowest": np.inf, "accel": 0.0, "accel_square": 0.0,
             "last_accel": np.nan, "jerk_square": 0.0, "min_ttc": TTC_CAP_S, "headway": 0.0, "headway_n": 0,
-            "start_x": np.nan, "x": np.nan, "changes": 0, "changing": False, "in_lane": 0, "in_speed": 0,
-            "could_speed": 0, "free": 0, "off": 0.0,
+            "start_x": np.nan, "x": np.nan, "changes": 0, "changing": False, "in_lane": 0,
+            "could_lane": 0, "in_speed": 0, "could_speed": 0, "free": 0, "off": 0.0,
             "complied": np.nan, "overridden": 0, "collided": False, "struck": False, "passed": False, "home": -1,
         }
         for name, value in fresh.items():
@@ -148,8 +166,12 @@ class Recorder:
     def tick(
         self, rows: Rows, accel: Floats, target_lane: Ints, previous_lane: Ints, crashed: Bools, active: Bools,
         wish_lane: Ints | None = None, wish_speed: Floats | None = None, overridden: Bools | None = None,
+        way_open: Bools | None = None,
     ) -> None:
-        """Take in the state after one tick: rows (S, V, 9), the rest (S,); scenes that are not `active` stay as is."""
+        """Take in the state after one tick: rows (S, V, 9), the rest (S,); scenes that are not `active` stay as is.
+
+        way_open: where the ego could have begun a change towards the wished lane at this tick.
+        """
         a = active
         ends = self._ends
         ego = rows[:, 0]
@@ -194,6 +216,8 @@ class Recorder:
             could = a & (self.free > (self.off / ADAPT_MPS2 + ADAPT_S) * self.hz)
             self.could_speed += could
             self.in_speed += could & (off <= SPEED_TOLERANCE_MPS)
+        if way_open is not None:
+            self.could_lane += a & way_open
         if overridden is not None:
             self.overridden += a & overridden
         first = rows[..., 0] == 1
@@ -225,7 +249,8 @@ class Recorder:
                 progress_m=float(self.x[s] - self.start_x[s]), lane_changes=int(self.changes[s]),
                 in_lane=float(self.in_lane[s]) / n, speed_ticks=int(self.could_speed[s]),
                 speed_complied=int(self.in_speed[s]),
-                time_to_comply_s=float(self.complied[s]), override_share=float(self.overridden[s]) / n))
+                time_to_comply_s=float(self.complied[s]), lane_open_s=int(self.could_lane[s]) / self.hz,
+                override_share=float(self.overridden[s]) / n))
         return out
 
 
@@ -259,6 +284,7 @@ def summarise(episodes: Sequence[EpisodeResult]) -> dict[str, float]:
     accel_var = max(sum(e.accel_square_sum for e in episodes) / total - a_mean**2, 0.0)
     ttc = np.array([e.min_ttc_s for e in episodes])
     due = sum(e.speed_ticks for e in episodes)
+    feasible = sum(e.lane_feasible for e in episodes)
     return {
         "episodes": len(episodes),
         "success": float(np.mean([e.success for e in episodes])),
@@ -269,7 +295,9 @@ def summarise(episodes: Sequence[EpisodeResult]) -> dict[str, float]:
         "min_ttc_mean": float(ttc.mean()), "min_ttc_median": float(np.median(ttc)),
         "min_ttc_p5": float(np.percentile(ttc, 5)), "headway_s": mean("headway_s"),
         "progress_m": mean("progress_m"), "lane_changes": mean("lane_changes"),
-        "lane_compliance": float(np.mean([np.isfinite(e.time_to_comply_s) for e in episodes])),
+        "lane_compliance": float(np.mean([e.lane_complied for e in episodes])),
+        "lane_feasible": feasible / len(episodes),
+        "lane_compliance_feasible": sum(e.lane_complied for e in episodes) / feasible if feasible else float("nan"),
         "speed_compliance": sum(e.speed_complied for e in episodes) / due if due else float("nan"),
         "speed_ticks": due,
         "time_to_comply_s": mean("time_to_comply_s"), "in_wished_lane": weighted("in_lane"),

@@ -1,4 +1,4 @@
-"""Parse and its gates (paper's Eq. 8): i_t = Parse(R_t), from the model's text to a directive that fits the road.
+"""Parse and its gates (paper's Eq. 9): i_t = Parse(R_t), from the model's text to a directive that fits the road.
 
 What must not rest on a model is decided here by rule: speed limits, safe distances, which lanes exist. Dangerous words
 are in `slow_node.rules`, spoken numbers in `slow_node.numbers`. The safety mask of the fast node checks once more.
@@ -8,18 +8,28 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pydantic import ValidationError
 
-from schemas.messages import Manoeuvre, Style
+from schemas.codec import rows_of
+from schemas.measures import INF, gap_m
+from schemas.messages import Manoeuvre, Observation, Style
 from slow_node.memory import Example
 from slow_node.replies import sentence
 from slow_node.scene import Scene
 from slow_node.slots import Outcome, Slots
 
 SLOW_LEAD_WITHIN_M = 80.0
+CLEAR_OF_SLOW_M = 100.0
+"""A lane without a slow car within this is worth moving back to: more than above, or it would be left at once."""
 SLOWER_BY_MPS, SLOWEST_MPS = 2.0, 1.0
+SLOWER_THAN_LIMIT_MPS = 0.5
+"""A car ahead that drives more than this below the limit is slow."""
+LANE_ENDS_S = 10.0
+"""Nobody is sent to a lane that ends within this time of driving while another goes on."""
+OVER_LIMIT_MPS = 0.05
+"""A named speed that exceeds the limit by more than rounding: the passenger is told of the limit."""
 CROSS_CHECK_COSINE = 0.97
 CLOSER_HEADWAY_S, FARTHER_HEADWAY_S, MAX_HEADWAY_S = 1.2, 3.0, 6.0
 MIN_HEADWAY_S = 1.0
@@ -104,27 +114,83 @@ def plan_of(slots: Slots, scene: Scene) -> Plan | Refusal:
         return _refusal(f"{slots.headway_s:.1f} s is no safe distance", slots, "unsafe")
     if slots.speed == "stop":
         return Plan("stop", back, 0.0, style="calm", say=_say(slots, "stop"))
+    if slots.lane == "keep" and not scene.borrowing and not may_take(scene, home):
+        return _refusal("this lane ends", slots, "no_lane")
     on_left_is_oncoming = scene.exists(home - 1) and scene.lanes[home - 1].direction == -1
-    hurry = slots.speed == "faster" and slots.lane in ("none", "left") and slots.target_speed_mps is None
     pass_left = slots.lane in ("left", "leftmost") and on_left_is_oncoming
-    if slots.overtake is not False and _slow_lead(scene) and (slots.overtake or pass_left or (hurry and scene.two_way)):
+    hurry = hurried(slots) and scene.two_way
+    if slots.overtake is not False and slow_lead(scene) and (slots.overtake or pass_left or hurry):
         return _overtake(slots, scene)
     if pass_left and not scene.borrowing:
         return _refusal("the left lane is oncoming, with no slow car to pass", slots, "oncoming")
     lane = _wished_lane(slots, scene)
     if isinstance(lane, Refusal):
         return lane
-    if lane is None and (slots.lane == "keep" or slots.overtake is False):
+    if lane is None and (slots.lane == "keep" or (slots.overtake is False and may_take(scene, home))):
         lane = home
     if lane is None:
         lane = back
     speed = _wished_speed(slots, scene, lane)
     headway = _wished_headway(slots, scene)
     manoeuvre: Manoeuvre = "cruise" if headway is None and slots.overtake is not False else "follow"
-    if lane is None and speed is None and headway is None and slots.gap != "keep":
+    if lane is None and speed is None and headway is None and slots.gap != "keep" and slots.overtake is not False:
         return _refusal("the answer asks for nothing", slots, "unclear", "unclear")
     style: Style = "calm" if slots.speed == "slower" or slots.gap == "farther" else "normal"
-    return Plan(manoeuvre, lane, speed, headway, style, _say(slots, _key(slots)))
+    return Plan(manoeuvre, lane, speed, headway, style, _say(slots, _key(slots), _cap(scene, lane)))
+
+
+def hurried(slots: Slots) -> bool:
+    """A wish to get on, with no speed, other lane or place in the queue named: it does not end with the next car."""
+    return (slots.outcome == "directive" and slots.speed == "faster" and slots.lane in ("none", "left")
+            and slots.target_speed_mps is None and slots.overtake is not False)
+
+
+def onward_plan(slots: Slots, scene: Scene) -> Plan | Refusal:
+    """A hurry that goes on after its first success: pass the next slow car, whatever was said about the first."""
+    return plan_of(slots.model_copy(update={"lane": "none", "overtake": True, "say": ""}), scene)
+
+
+def right_plan(scene: Scene, language: str = "en") -> Plan:
+    """One lane to the right again, on a one-way road, at the limit."""
+    right = scene.home_lane + 1
+    return Plan("cruise", right, _cap(scene, right), say=sentence("right", language))
+
+
+def on_this_road(plan: Plan, scene: Scene) -> Plan:
+    """A plan made elsewhere on the road: without a lane that has ended since, within the limit here; not said again."""
+    lane = plan.target_lane
+    if lane is not None and not may_take(scene, lane) and not (
+            plan.manoeuvre == "overtake" and scene.exists(lane) and scene.lanes[lane].direction == -1):
+        lane = None
+    speed = plan.target_speed_mps
+    return replace(plan, target_lane=lane, target_speed_mps=None if speed is None else min(speed, _cap(scene, lane)),
+                   say="")
+
+
+def may_take(scene: Scene, lane: int) -> bool:
+    """A lane to be sent to: it is there, in our direction, no ramp, and does not end within `LANE_ENDS_S`."""
+    if not scene.exists(lane):
+        return False
+    at = scene.lanes[lane]
+    ends = at.end_m < max(b.end_m for b in scene.lanes) and at.end_m - scene.x_m < LANE_ENDS_S * scene.speed_mps
+    return at.direction == 1 and at.kind != "ramp" and not ends
+
+
+def slow_lead(scene: Scene) -> bool:
+    """A car to overtake: ahead in the ego's own lane, near and slower than the limit."""
+    lead = scene.lead
+    return lead is not None and lead.gap_m < SLOW_LEAD_WITHIN_M and _slow(lead.speed_mps, _cap(scene, scene.home_lane))
+
+
+def slow_lanes(observation: Observation) -> frozenset[int]:
+    """Lanes in which a slow car is ahead within `CLEAR_OF_SLOW_M`: no reason to move there."""
+    rows = rows_of(observation).tolist()
+    ego = rows[0]
+    return frozenset(
+        int(row[8]) for row in rows[1:]
+        if row[1] > ego[1] and 0 <= row[8] < len(observation.lanes)
+        and gap_m(ego[1], row[1], ego[6], row[6]) < CLEAR_OF_SLOW_M
+        and _slow(row[3], observation.lanes[int(row[8])].speed_limit_mps))
 
 
 def return_plan(scene: Scene, language: str = "en") -> Plan:
@@ -140,7 +206,10 @@ def _refusal(why: str, slots: Slots, key: str, outcome: Outcome = "refused", say
     return Refusal(why, say or sentence(key, slots.language), outcome)
 
 
-def _say(slots: Slots, key: str) -> str:
+def _say(slots: Slots, key: str, cap_mps: float = INF) -> str:
+    """The model's sentence or ours; where a named speed is cut to the limit always ours, which says so."""
+    if slots.target_speed_mps is not None and slots.target_speed_mps > cap_mps + OVER_LIMIT_MPS:
+        return sentence("limit", slots.language)
     return slots.say or sentence(key, slots.language)
 
 
@@ -150,14 +219,14 @@ def _overtake(slots: Slots, scene: Scene) -> Plan | Refusal:
     if slots.lane in ("right", "rightmost"):
         sides.reverse()
     for lane in sides:
-        if scene.exists(lane) and scene.lanes[lane].kind != "ramp":
-            return Plan("overtake", lane, _cap(scene, lane), style="assertive", say=_say(slots, "overtake"))
+        if may_take(scene, lane) or (scene.exists(lane) and scene.lanes[lane].direction == -1):
+            cap = _cap(scene, lane)
+            return Plan("overtake", lane, cap, style="assertive", say=_say(slots, "overtake", cap))
     return _refusal("there is no lane to overtake in", slots, "no_lane")
 
 
-def _slow_lead(scene: Scene) -> bool:
-    lead = scene.lead
-    return lead is not None and lead.gap_m < SLOW_LEAD_WITHIN_M and lead.speed_mps < _cap(scene, scene.home_lane) - 0.5
+def _slow(speed_mps: float, limit_mps: float) -> bool:
+    return speed_mps < limit_mps - SLOWER_THAN_LIMIT_MPS
 
 
 def _cap(scene: Scene, lane: int | None) -> float:
@@ -166,13 +235,18 @@ def _cap(scene: Scene, lane: int | None) -> float:
 
 
 def _wished_lane(slots: Slots, scene: Scene) -> int | Refusal | None:
+    """The lane that was named. From a borrowed lane, right is the way home and left is farther into the traffic."""
     if slots.lane in ("left", "right"):
         lane = scene.ego_lane + (-1 if slots.lane == "left" else 1)
-        if not scene.exists(lane):
+        if scene.borrowing and slots.lane == "right":
+            return scene.home_lane
+        if scene.exists(lane) and scene.lanes[lane].direction == -1:
+            return _refusal(f"the lane to the {slots.lane} is oncoming", slots, "oncoming")
+        if not may_take(scene, lane):
             return _refusal(f"no lane to the {slots.lane}", slots, "no_lane")
         return lane
     if slots.lane in ("leftmost", "rightmost"):
-        own = [i for i, at in enumerate(scene.lanes) if scene.exists(i) and at.direction == 1 and at.kind != "ramp"]
+        own = [lane for lane in range(len(scene.lanes)) if may_take(scene, lane)]
         if not own:
             return _refusal(f"no {slots.lane} lane", slots, "no_lane")
         return own[0] if slots.lane == "leftmost" else own[-1]
@@ -180,13 +254,14 @@ def _wished_lane(slots: Slots, scene: Scene) -> int | Refusal | None:
 
 
 def _wished_speed(slots: Slots, scene: Scene, lane: int | None) -> float | None:
+    """Between standstill and the limit; slower is never faster than now."""
     cap = _cap(scene, lane)
     if slots.target_speed_mps is not None:
         return min(slots.target_speed_mps, cap)
     if slots.speed == "faster" or slots.overtake:
         return cap
     if slots.speed == "slower":
-        return min(max(scene.speed_mps - SLOWER_BY_MPS, SLOWEST_MPS), cap)
+        return min(max(scene.speed_mps - SLOWER_BY_MPS, SLOWEST_MPS), scene.speed_mps, cap)
     if slots.speed == "keep":
         return min(scene.speed_mps, cap)
     return None

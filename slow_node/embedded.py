@@ -1,4 +1,4 @@
-"""The embedded language model Phi (Eq. 7): SmolLM2-135M served by llama.cpp on loopback, by
+"""The embedded language model Phi (Eq. 8): SmolLM2-135M served by llama.cpp on loopback, by
 `python -m slow_node.embedded`.
 
 A process of its own, in the idle scheduling class: neither its crash nor its arithmetic may touch the fast loop.
@@ -16,6 +16,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from schemas.process import ConfigError, load_config, log, run_node
+from schemas.realtime import weigh_session
 from slow_node.embedding import package_file
 
 NAME = "embedded"
@@ -54,12 +55,19 @@ def weights_path() -> Path:
 
 
 def yield_to_others() -> None:
-    """Run only when nobody else wants the core; the threads that the engine starts later inherit it."""
-    if sys.platform == "linux":
-        try:
-            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-        except PermissionError:
-            log(NAME, "priority", "SCHED_IDLE is not permitted here; running at normal priority")
+    """Run only when nobody else wants the core; the threads that the engine starts later inherit it. Never fails.
+
+    With autogroups SCHED_IDLE counts only within a session, so that the session's weight goes down as well: of one that
+    is this process's own, not of the shell that somebody started it from.
+    """
+    if sys.platform != "linux":
+        return
+    try:
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    except OSError:
+        log(NAME, "priority", "SCHED_IDLE is not permitted here; running at normal priority")
+    if os.getsid(0) == os.getpid():
+        weigh_session(19)
 
 
 def serve(config: EmbeddedConfig) -> None:

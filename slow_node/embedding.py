@@ -1,4 +1,4 @@
-"""Sentence embeddings E(.) of the paper's memory retrieval (Eq. 5): all-MiniLM-L6-v2 in NumPy, without torch.
+"""Sentence embeddings E(.) of the paper's memory retrieval (Eq. 6): all-MiniLM-L6-v2 in NumPy, without torch.
 
 One short sentence costs some ten milliseconds on one core. A small low-rank delta, shipped with the project, adapts
 the encoder to what passengers say for the reader (`slow_node.reader`); retrieval compares the original's vectors, which

@@ -15,6 +15,7 @@ from schemas.messages import Directive, Reply
 from schemas.process import Heartbeat, log
 from slow_node.config import SlowConfig
 from slow_node.deliberation import Call, Deliberation, Drop, Effect, Learn
+from slow_node.directive import slow_lanes
 from slow_node.embedding import load_embedder
 from slow_node.memory import Memory
 from slow_node.model import MAX_TOKENS, MAX_TOKENS_SHORT, ChatModel
@@ -67,7 +68,8 @@ class SlowNode:
         observation = self._observations.peek()
         if observation is not None and (observation.epoch, observation.tick) != self._seen:
             self._seen = (observation.epoch, observation.tick)
-            self._carry_out(self._deliberation.on_scene(encode_scene(observation), now_ns))
+            self._carry_out(self._deliberation.on_scene(
+                encode_scene(observation), now_ns, slow_lanes(observation)))
         for event in self._events.take():
             self._carry_out(self._deliberation.on_event(event, now_ns))
         for number, payload in enumerate(self._commands.take()):
@@ -105,7 +107,7 @@ class SlowNode:
 
     async def _think(self, call: Call) -> None:
         try:
-            verdict = await self._thinker.think(call.command, call.scene, call.intent)
+            verdict = await self._thinker.think(call.command, call.scene, call.intent, call.veto)
         except Exception as error:  # a passenger must get an answer even to a thought that broke
             log(NAME, "fault", f"{type(error).__name__}: {error}")
             verdict = Verdict(None, f"internal error: {type(error).__name__}", model_answered=False)

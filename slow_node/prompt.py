@@ -1,4 +1,4 @@
-"""Prompt construction (paper's Eq. 6): P_t = f(I_t, E_t, M_t), instruction, scene and retrieved examples as a chat."""
+"""Prompt construction (paper's Eq. 7): P_t = f(I_t, E_t, M_t), instruction, scene and retrieved examples as a chat."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from slow_node.memory import Example
+from slow_node.scene import road_and_lead
 
 Chat = list[dict[str, str]]
+EXAMPLE_CHARS = 300
+"""Longer commands, scenes and warnings of examples are cut off: the newest command must fit into the prompt."""
 
 SHORT_SYSTEM = (
     "You turn a car passenger's command into JSON. First reasoning, a few words, then outcome, then only the slots "
@@ -31,12 +34,17 @@ JSON schema: """
 
 
 def build_prompt(command: str, scene: str, examples: Sequence[Example], schema: dict[str, Any], *, short: bool) -> Chat:
-    """P_t. The nearest example comes last, where a small model attends to it most; failures, near misses noted."""
+    """P_t. The nearest example comes last, where a small model attends to it most; failures, near misses noted.
+
+    Short: without the schema, which the embedded model's server enforces, and with the outline of the examples' scenes.
+    """
     system = SHORT_SYSTEM if short else FULL_SYSTEM + json.dumps(schema, separators=(",", ":"))
     chat: Chat = [{"role": "system", "content": system}]
     for example in reversed(examples):
         answer = example.slots.compact() if short else example.slots.model_dump_json()
-        chat.append({"role": "user", "content": _turn(example.command, example.scene, example.warning)})
+        seen = road_and_lead(example.scene) if short else example.scene
+        chat.append({"role": "user", "content": _turn(example.command[:EXAMPLE_CHARS], seen[:EXAMPLE_CHARS],
+                                                      example.warning[:EXAMPLE_CHARS])})
         chat.append({"role": "assistant", "content": answer})
     chat.append({"role": "user", "content": _turn(command, scene)})
     return chat
@@ -52,6 +60,10 @@ def repair_prompt(chat: Chat, answer: str, error: str) -> Chat:
 
 
 def _turn(command: str, scene: str, warning: str = "") -> str:
-    """The command is quoted as a JSON string, so that it cannot pretend to end."""
-    note = f"\nNote: {warning}" if warning else ""
-    return f"Scene: {scene}{note}\nCommand: {json.dumps(command, ensure_ascii=False)}"
+    """The command is quoted as a JSON string and the rest kept to its line, so that neither can pretend to end."""
+    note = f"\nNote: {_line(warning)}" if warning else ""
+    return f"Scene: {_line(scene)}{note}\nCommand: {json.dumps(command, ensure_ascii=False)}"
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())

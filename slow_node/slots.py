@@ -18,7 +18,7 @@ NO_DECISION = {"reasoning", "say", "language"}
 
 
 class Slots(BaseModel):
-    """The passenger's wish in slots: the structured part of the model's text R_t (Eq. 7), before Parse (Eq. 8).
+    """The passenger's wish in slots: the structured part of the model's text R_t (Eq. 8), before Parse (Eq. 9).
 
     Every slot but the outcome has a default, so that a small model need only write what was asked for.
     """

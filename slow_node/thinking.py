@@ -1,4 +1,4 @@
-"""One thought, R_t = Phi(P_t) and i_t = Parse(R_t) (paper's Eqs. 5 to 8): a command and a scene in, a verdict out.
+"""One thought, R_t = Phi(P_t) and i_t = Parse(R_t) (paper's Eqs. 6 to 9): a command and a scene in, a verdict out.
 
 Two minds read a command: the reader (`slow_node.reader`, ten milliseconds, calibrated) and the language model with
 its retrieved examples. An endpoint's answer leads, and the reader guards what is unsafe and stands in when the
@@ -59,8 +59,9 @@ class Thinker:
         self._short, self._k, self._budget_s, self._mode = short, k, budget_s, ask
         self._schema = answer_schema(short)
 
-    async def think(self, command: str, scene: Scene, intent: str = "") -> Verdict:
-        """The verdict on a command; `intent` adds what has become of it so far. Never raises for a model's failure."""
+    async def think(self, command: str, scene: Scene, intent: str = "", veto: str = "") -> Verdict:
+        """The verdict on a command; `intent` adds what has become of it so far, `veto` the rule by which the fast
+        system just held something up. Never raises for a model's failure."""
         started = time.monotonic()
         reading, nearest = await asyncio.to_thread(self._look, command, scene)
         if unsafe(command):
@@ -72,7 +73,7 @@ class Thinker:
             return Verdict(slots, UNSAFE_WHY, source="reader", nearest=nearest)
         if reading is not None and not self._asks(reading):
             return Verdict(_reasoned(reading), source="reader", nearest=nearest)
-        text = f"{describe(scene)}; intent: {intent}" if intent else describe(scene)
+        text = describe(scene, veto) + (f"; intent: {intent}" if intent else "")
         budget_s = min(self._budget_s, EMBEDDED_BUDGET_S) if self._mode == "unsure" and reading else self._budget_s
         try:
             slots = await self._ask(command, text, nearest, started + budget_s)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,14 +11,16 @@ from deploy.lockstep import overtake_at, run_episode
 from fast_node.config import FastConfig
 from fast_node.node import FastNode
 from fast_node.policy import load_policy
-from schemas.messages import Directive, Lane, MetaAction, Observation
+from schemas.clock import NS
+from schemas.messages import Directive, Event, Lane, MetaAction, Observation
 
 LANES = (Lane(y_m=0, start_m=0, end_m=3000, direction=-1, kind="oncoming", speed_limit_mps=8.0),
          Lane(y_m=4, start_m=0, end_m=3000, speed_limit_mps=8.0))
 
 
-def observation(tick: int, *cars: tuple[float, ...], speed: float = 5.0, **fields: object) -> Observation:
-    rows = np.array([[0, 500, 4, speed, 0, 0, 5, 2, 1], *cars], np.float32)
+def observation(tick: int, *cars: tuple[float, ...], speed: float = 5.0, ego: tuple[float, ...] = (),
+                **fields: Any) -> Observation:
+    rows = np.array([ego or (0, 500, 4, speed, 0, 0, 5, 2, 1), *cars], np.float32)
     return Observation(**{"epoch": 1, "stamp_ns": 0, "tick": tick, "scenario": "two-way", "lanes": LANES,
                           "rows": rows.tobytes(), "target_lane": 1, "target_speed_mps": speed, **fields})
 
@@ -27,6 +31,10 @@ def directive(**fields: object) -> Directive:
 
 
 LEAD, ONCOMING = (1, 514, 4, 4, 0, 0, 5, 2, 1), (2, 590, 0, -6, 0, 0, 5, 2, 0)
+CLOSE_AHEAD = (1, 511, 4, 5, 0, 0, 5, 2, 1)
+AHEAD_AT_HOME, BEHIND_AT_HOME = (1, 504, 4, 5, 0, 0, 5, 2, 1), (2, 491, 4, 5, 0, 0, 5, 2, 1)
+AWAY = {"target_lane": 0, "ego": (0, 500, 0, 5, 0, 0, 5, 2, 0)}
+"""The ego in the lane to the left of them."""
 
 
 @pytest.fixture
@@ -71,6 +79,82 @@ def test_a_delayed_overtake_is_reported_with_its_duration_when_it_is_carried_out
     run = run_episode(1000, load_policy(), overtake_at(3.0), duration_s=35)
     held = [e for e in run.events if e.kind == "overridden"]
     assert [(e.rule, e.since_tick, e.duration_s > 1) for e in held[:1]] == [("oncoming traffic", 45, True)]
+
+
+def facts(event: Event) -> tuple[str, str, int, float]:
+    """Kind, rule, since which tick, for how many seconds."""
+    return event.kind, event.rule, event.since_tick, event.duration_s
+
+
+def drive(node: FastNode, ticks: range, told: Directive, *cars: tuple[float, ...], **fields: Any) -> list[Event]:
+    """What is reported while the same is seen for a while."""
+    return [e for t in ticks for e in node.step(observation(t, *cars, **fields), told, t * NS // 15)[1]]
+
+
+def test_a_delay_is_reported_with_its_rule_and_beginning_when_it_begins(node):
+    assert [facts(e) for e in drive(node, range(7, 12), directive(), LEAD, ONCOMING)] == [
+        ("delayed", "oncoming traffic", 7, 0.0)]
+
+
+def test_a_change_carried_out_after_a_delay_is_reported_with_the_rule_and_the_length_of_the_delay(node):
+    drive(node, range(30), directive(), LEAD, ONCOMING)
+    assert [facts(e) for e in drive(node, range(30, 31), directive(), LEAD)] == [
+        ("overridden", "oncoming traffic", 0, 2.0)]
+
+
+def test_an_expired_directive_is_reported_with_what_held_it_up_and_how_long_it_was_followed(node):
+    assert [facts(e) for e in drive(node, range(10, 60), directive(ttl_s=3.0), LEAD, ONCOMING)][1:] == [
+        ("expired", "oncoming traffic", 10, 36 / 15)]
+
+
+def test_a_fulfilled_directive_is_reported_with_what_held_it_up_and_how_long_it_took(node):
+    drive(node, range(30), directive(), LEAD, ONCOMING)
+    assert [facts(e) for e in drive(node, range(30, 31), directive(), (1, 480, 4, 4, 0, 0, 5, 2, 1))] == [
+        ("fulfilled", "oncoming traffic", 0, 2.0)]
+
+
+def test_a_delay_whose_rule_changes_is_reported_once_for_each_rule_however_often_it_changes(node):
+    home = directive(manoeuvre="cruise", target_lane=1, target_speed_mps=5.0)
+    events = [e for t in range(0, 60, 10) for e in [
+        *drive(node, range(t, t + 5), home, AHEAD_AT_HOME, **AWAY),
+        *drive(node, range(t + 5, t + 10), home, BEHIND_AT_HOME, **AWAY)]]
+    assert [facts(e) for e in events if e.kind == "delayed"] == [
+        ("delayed", "front gap in lane", 0, 0.0), ("delayed", "rear gap in lane", 0, 5 / 15)]
+
+
+def test_held_back_by_a_car_behind_it_is_reported_once_that_the_ego_accelerates_first(node):
+    home = directive(manoeuvre="cruise", target_lane=1, target_speed_mps=5.0)
+    events = drive(node, range(10), home, BEHIND_AT_HOME, **AWAY)
+    assert [(*facts(e), e.detail) for e in events if e.kind == "overridden"] == [
+        ("overridden", "rear gap in lane", 0, 0.0, "accelerates first")]
+
+
+def test_where_the_limit_is_wished_already_nothing_is_overridden_for_a_car_behind(node):
+    home = directive(manoeuvre="cruise", target_lane=1, target_speed_mps=8.0)
+    assert [e.kind for e in drive(node, range(10), home, BEHIND_AT_HOME, **AWAY)] == ["delayed"]
+
+
+def test_it_accelerates_first_as_soon_as_a_car_behind_becomes_what_holds_it_back(node):
+    home = directive(manoeuvre="cruise", target_lane=1, target_speed_mps=5.0)
+    drive(node, range(5), home, AHEAD_AT_HOME, **AWAY)
+    drive(node, range(5, 6), home, BEHIND_AT_HOME, **AWAY)
+    action, _ = node.step(observation(6, BEHIND_AT_HOME, **AWAY), home, NS // 2)
+    assert action.speed_goal_mps == LANES[1].speed_limit_mps
+
+
+def test_a_wished_speed_that_a_car_ahead_does_not_allow_is_reported_once_after_a_second(node):
+    faster = directive(manoeuvre="cruise", target_speed_mps=8.0)
+    assert [facts(e) for e in drive(node, range(60), faster, CLOSE_AHEAD)] == [
+        ("delayed", "speed above the gap's", 0, 1.0)]
+
+
+def test_a_wished_speed_that_nothing_forbids_is_not_reported_as_delayed(node):
+    assert drive(node, range(60), directive(manoeuvre="cruise", target_speed_mps=8.0)) == []
+
+
+def test_a_speed_that_only_the_wish_rules_out_is_not_reported_as_delayed(node):
+    far_behind = directive(manoeuvre="cruise", target_speed_mps=8.0, headway_s=6.0)
+    assert drive(node, range(60), far_behind, (1, 525, 4, 5, 0, 0, 5, 2, 1)) == []
 
 
 def test_an_overtake_is_fulfilled_once_the_car_is_passed_and_the_ego_is_home(node):

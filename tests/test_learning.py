@@ -9,11 +9,21 @@ import numpy as np
 import pytest
 import torch
 
+from deploy.training import mixed_scenes
 from fast_node.policy import load_policy
-from fast_node.training.learner import LearnerConfig, advantages, masked_distribution, update
+from fast_node.training import train as training
+from fast_node.training.learner import (
+    LearnerConfig,
+    advantages,
+    explained_variance,
+    following_values,
+    masked_distribution,
+    update,
+)
 from fast_node.training.network import ActorCritic
-from fast_node.training.train import export
-from schemas.features import FEATURES, features
+from fast_node.training.train import export, train
+from schemas.features import FEATURES, N_ROWS, features
+from schemas.messages import MetaAction
 from schemas.process import ConfigError
 
 
@@ -32,6 +42,79 @@ def test_a_truncated_episode_is_bootstrapped_and_a_terminated_one_is_not():
     ended, no = column(1).astype(bool), column(0).astype(bool)
     assert advantages(column(1), column(0), column(4), no, ended, 0.5, 0.9)[0, 0] == 3.0
     assert advantages(column(1), column(0), column(4), ended, ended, 0.5, 0.9)[0, 0] == 1.0
+
+
+def test_the_value_that_follows_is_of_the_same_episode() -> None:
+    values, last, ended = column(1, 2, 3), column(0, 7, 0), column(0, 1, 0).astype(bool)
+    assert following_values(values, last, ended, np.array([4], np.float32))[:, 0].tolist() == [2, 7, 4]
+
+
+def test_explained_variance_is_the_hand_computed_share() -> None:
+    assert explained_variance(column(1, 2, 3), column(2, 4, 6)) == pytest.approx(0.75)  # errors 1, 2, 3 of 2, 4, 6
+    assert math.isnan(explained_variance(column(1, 2), column(5, 5)))
+
+
+class Endings:
+    """Two made-up scenes of three decisions each, with rewards of 1: the first is cut off, the second crashes."""
+
+    LENGTH = 3
+
+    def __init__(self) -> None:
+        self.parts = mixed_scenes(["two-way"], 0, scenes=2).parts
+        self.age, self.returns = np.zeros(2, np.int64), np.zeros(2)
+
+    def observe(self) -> tuple[np.ndarray, np.ndarray]:
+        x = np.zeros((2, N_ROWS, len(FEATURES)), np.float32)
+        x[:, 0, 0] = 1.0
+        x[:, 0, 2] = self.age  # so that every state has its own value
+        return x, np.ones((2, 5), np.bool_)
+
+    def decide(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        self.age += 1
+        over = self.age == self.LENGTH
+        return np.ones(2, np.float32), over & [False, True], over & [True, False]
+
+    def reset(self, which: np.ndarray) -> None:
+        self.age[which] = 0
+
+
+@pytest.fixture
+def first_batch(tmp_path, monkeypatch) -> tuple[tuple[np.ndarray, ...], np.ndarray, ActorCritic]:
+    """What `train` hands to `advantages` in `Endings`, what it gets, and the network that it began with."""
+    seen = []
+
+    def spy(*given):
+        seen.append((given, advantages(*given)))
+        return seen[-1][1]
+
+    monkeypatch.setattr(training, "advantages", spy)
+    train(Endings(), tmp_path / "p.safetensors", steps=32, seed=0, progress=lambda *_: None)
+    torch.manual_seed(0)
+    return *seen[0], ActorCritic()
+
+
+def test_training_bootstraps_an_episode_that_is_cut_off_with_the_value_of_its_last_state(first_batch) -> None:
+    (_, values, next_values, *_), result, net = first_batch
+    left = Endings()
+    left.age[:] = left.LENGTH
+    with torch.no_grad():
+        last = net(torch.from_numpy(left.observe()[0]))[1][0].item()
+    assert next_values[2, 0] == pytest.approx(last, abs=1e-6)
+    assert last != pytest.approx(values[3, 0])  # the next row is of the next episode
+    assert result[2, 0] == pytest.approx(1.0 + 0.99 * last - values[2, 0], abs=1e-5)
+
+
+def test_training_adds_nothing_after_a_crash(first_batch) -> None:
+    (_, values, *_), result, _ = first_batch
+    assert result[2, 1] == pytest.approx(1.0 - values[2, 1], abs=1e-6)
+
+
+def test_directives_are_drawn_again_during_an_episode() -> None:
+    scenes = mixed_scenes(["highway"], 0, scenes=32).parts[0]
+    told = scenes.v_des.copy()
+    for _ in range(10):
+        scenes.decide(np.full(32, int(MetaAction.CRUISE)))
+    assert 0 < np.sum(scenes.v_des != told) < 32
 
 
 def test_closed_actions_have_no_probability():
@@ -83,9 +166,38 @@ def test_a_preference_that_has_grown_enough_is_not_pushed_further():
     assert net.logits.tolist() == pytest.approx([-0.2 * pull, 0.8 * pull, *[-0.2 * pull] * 3], abs=1e-4)
 
 
-def test_the_exported_policy_answers_as_torch_does(tmp_path):
+def test_an_update_reports_the_hand_computed_entropy_and_share_of_clipped_ratios() -> None:
+    _, figures = updated(log_ratio=math.log(1.3), clip=0.2, target_kl=1.0)
+    assert (figures["entropy"], figures["clipfrac"]) == (pytest.approx(math.log(5)), 1.0)
+
+
+@pytest.mark.parametrize("layers", [1, 2])
+def test_the_exported_policy_answers_as_torch_does(tmp_path, layers):
     torch.manual_seed(3)
-    export(ActorCritic(), tmp_path / "p.safetensors", {}, observations=50)  # raises when they differ
+    export(ActorCritic(layers=layers), tmp_path / "p.safetensors", {}, observations=50)  # raises when they differ
+    assert load_policy(tmp_path / "p.safetensors").sidecar["layers"] == layers
+
+
+def test_an_export_whose_weights_differ_is_refused(tmp_path, monkeypatch) -> None:
+    net = ActorCritic()
+
+    def another(path):
+        policy = load_policy(path)
+        policy._last_bias[0] += 0.01
+        return policy
+
+    monkeypatch.setattr(training, "load_policy", another)
+    with pytest.raises(ValueError, match="differs"):
+        export(net, tmp_path / "p.safetensors", {}, observations=10)
+
+
+def test_a_policy_whose_sidecar_names_another_number_of_layers_is_refused(tmp_path) -> None:
+    path = tmp_path / "p.safetensors"
+    export(ActorCritic(layers=2), path, {}, observations=1)
+    sidecar = json.loads(path.with_suffix(".json").read_text())
+    path.with_suffix(".json").write_text(json.dumps({**sidecar, "layers": 1}))
+    with pytest.raises(ConfigError, match="2 layers"):
+        load_policy(path)
 
 
 def test_the_policy_does_not_depend_on_the_order_of_the_other_vehicles():

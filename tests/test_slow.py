@@ -4,42 +4,35 @@ from __future__ import annotations
 
 import asyncio
 import json
-import math
 import os
 import socket
-import sqlite3
 import subprocess
 import sys
-import threading
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the node's own __main__ does, before NumPy loads
 
 import numpy as np
 import pytest
-from safetensors.numpy import save
 from scripted import ScriptedModel
+from test_model import FaultyServer, answer
 
 from schemas import topics
 from schemas.bus import LocalBus, Subscription
 from schemas.messages import Directive, Event, Lane, Observation, Reply
 from slow_node.config import SlowConfig
 from slow_node.directive import ParseError, Plan, parse_answer, plan_of
-from slow_node.embedding import HashedEmbedder, Rows, Vector, load_embedder
+from slow_node.embedding import load_embedder
 from slow_node.memory import Memory
-from slow_node.model import Breaker, ChatModel, ModelError
 from slow_node.node import build
 from slow_node.numbers import quantities
-from slow_node.prompt import build_prompt
 from slow_node.reader import on_the_side_said
 from slow_node.replies import sentence
 from slow_node.rules import unsafe
-from slow_node.scene import encode_scene
-from slow_node.seeds import embed_command, read_seeds, ship_vectors, shipped_vectors
+from slow_node.scene import describe, encode_scene
 from slow_node.slots import Slots
 
 FASTER = '{"reasoning":"in a hurry","outcome":"directive","speed":"faster","overtake":true}'
@@ -223,11 +216,43 @@ def test_without_a_model_memory_answers_or_a_reason_is_given(bank: str) -> None:
     assert not directives
 
 
-def test_a_paraphrase_finds_its_example(bank: str) -> None:
-    memory = Memory(load_embedder(), bank)
-    assert memory.nearest("would you slow down a little", 1)[0].slots.speed == "slower"
-    memory.close()
-    assert np.isclose(np.linalg.norm(HashedEmbedder().embed("anything")), 1.0)
+HIGHWAY = tuple(Lane(y_m=4 * i, start_m=-1e4, end_m=1e4, speed_limit_mps=33) for i in range(4))
+ROUND = ((45, 1, 20), (30, 0, 24), (60, 0, 24), (-30, 0, 28), (-25, 2, 22), (4, 2, 25), (50, 3, 25))
+"""Cars around an ego at x 0 in lane 1 at 25 m/s: centre [m], lane, speed [m/s]."""
+
+
+def described(lanes: tuple[Lane, ...] = HIGHWAY, cars: tuple[tuple[float, int, float], ...] = (), lane: int = 1,
+              veto: str = "") -> str:
+    rows = [(0, 0, lanes[lane].y_m, 25, 0, 0, 5, 2, lane)]
+    rows += [(i, x, lanes[at].y_m, v, 0, 0, 5, 2, at) for i, (x, at, v) in enumerate(cars, 1)]
+    return describe(encode_scene(Observation(epoch=1, stamp_ns=0, tick=0, scenario="", lanes=lanes,
+                                             rows=np.array(rows, np.float32).tobytes())), veto)
+
+
+def test_an_empty_road_is_described_by_its_lanes() -> None:
+    assert described() == (
+        "one-way road, lanes 0-3, we are in 1; 25 of 33 m/s; no car ahead; free lanes 0, 1, 2, 3")
+
+
+def test_the_nearest_cars_ahead_and_behind_in_each_lane_beside_are_described_with_gaps_and_closing_speeds() -> None:
+    assert described(cars=ROUND) == (
+        "one-way road, lanes 0-3, we are in 1; 25 of 33 m/s; car ahead 40 m at 20.0 m/s, closing 5; right beside us; "
+        "right behind 20 m, closing -3; left ahead 25 m, closing 1; left behind 25 m, closing 3; free lanes 0, 1, 3")
+
+
+def test_an_oncoming_car_is_described_once_with_the_speed_of_both() -> None:
+    lanes = (Lane(y_m=-4, start_m=-1e4, end_m=1e4, direction=-1, kind="oncoming"), Lane(y_m=0, start_m=-1e4, end_m=1e4))
+    assert described(lanes, ((65, 0, -20),)).endswith(
+        "no car ahead; oncoming car 60 m, closing 45; free lanes 0, 1; lane 0 is oncoming")
+
+
+def test_a_ramp_that_ends_is_described_as_such() -> None:
+    lanes = (*HIGHWAY[:2], Lane(y_m=8, start_m=-100, end_m=120, kind="ramp"))
+    assert described(lanes, lane=2).endswith("; lane 2 is a ramp; our lane ends in 120 m")
+
+
+def test_what_was_just_vetoed_is_described_with_its_rule() -> None:
+    assert described(veto="left by rear gap").endswith("; just vetoed: left by rear gap")
 
 
 def test_the_road_and_the_schema_are_gates() -> None:
@@ -244,158 +269,6 @@ def test_a_wish_to_overtake_says_so_where_nobody_slow_is_ahead() -> None:
     far = plan_of(Slots(outcome="directive", overtake=True), encode_scene(observation(lead_x=120.0)))
     near = plan_of(Slots(outcome="directive", overtake=True), encode_scene(observation(lead_x=25.0)))
     assert (far.say, near.say) == (sentence("nobody_ahead", "en"), sentence("overtake", "en"))
-
-
-def test_rows_read_from_a_file_are_the_rows_of_its_matrix(tmp_path: Path) -> None:
-    table = np.arange(12, dtype=np.float16).reshape(4, 3)
-    path = tmp_path / "table.safetensors"
-    path.write_bytes(save({"first": np.zeros(5, np.float32), "table": table}))
-    assert (Rows(path, "table")[np.array([3, 0, 3])] == table[[3, 0, 3]]).all()
-
-
-CHAT = [{"role": "user", "content": "Command: \"go faster\""}]
-
-
-def answer(content: str = SLOWER, **message: object) -> tuple[int, dict[str, str], bytes]:
-    """A good HTTP answer of a chat server, with its count of tokens."""
-    body = {"choices": [{"message": {"content": content, **message}}], "usage": {"prompt_tokens": 7,
-        "completion_tokens": 3}}
-    return 200, {}, json.dumps(body).encode()
-
-
-class FaultyServer:
-    """Answers its n-th request with the n-th step (the last one for ever): an HTTP answer, or a named misbehaviour."""
-
-    def __init__(self, *steps: object) -> None:
-        self.bodies: list[dict[str, object]] = []
-        self.hung_up = threading.Event()
-        outer = self
-
-        class Handler(BaseHTTPRequestHandler):
-            def do_POST(self) -> None:
-                outer.bodies.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
-                step = steps[min(len(outer.bodies), len(steps)) - 1]
-                self.close_connection = True
-                try:
-                    if step == "hang":
-                        self.connection.settimeout(20.0)
-                        if self.connection.recv(1) == b"":
-                            outer.hung_up.set()
-                        return
-                    if step == "disconnect":
-                        self.wfile.write(b"HTTP/1.1 200 OK\r\nContent-Length: 500\r\n\r\n{\"choices\": [{")
-                        return
-                    assert isinstance(step, tuple)
-                    status, headers, body = step
-                    self.send_response(status)
-                    for name, value in {**headers, "Content-Length": str(len(body))}.items():
-                        self.send_header(name, value)
-                    self.end_headers()
-                    self.wfile.write(body)
-                except OSError:
-                    pass
-
-            def log_message(self, *_: object) -> None:
-                pass
-
-        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self.server.daemon_threads = True
-        self.url = f"http://127.0.0.1:{self.server.server_address[1]}/v1"
-        threading.Thread(target=self.server.serve_forever, daemon=True).start()
-
-    def __enter__(self) -> FaultyServer:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.server.shutdown()
-        self.server.server_close()
-
-
-def ask(server: FaultyServer, *, budget_s: float = 5.0, times: int = 1, breaker: Breaker | None = None) -> tuple[
-        list[str], ChatModel]:
-    """What `times` calls gave: the answer, or the error's class and text."""
-    outcomes: list[str] = []
-    model = ChatModel(server.url, "gpt-4o-mini", "a-key", breaker=breaker)
-
-    async def run() -> None:
-        for _ in range(times):
-            try:
-                outcomes.append(await model.complete(CHAT, {"type": "object"}, budget_s))
-            except ModelError as error:
-                outcomes.append(f"{type(error).__name__}: {error}")
-        await model.close()
-
-    asyncio.run(run())
-    return outcomes, model
-
-
-BUSY, BROKEN = (429, {"Retry-After": "0.2"}, b""), (500, {}, b"")
-BAD_REQUEST = (400, {}, b'{"error": "response_format is not supported"}')
-
-
-@pytest.mark.parametrize("fault", [BUSY, BROKEN, "disconnect", (200, {}, b'{"choices": [{"mess')],
-                         ids=["429", "500", "disconnect", "truncated"])
-def test_a_passing_fault_is_retried_within_the_budget(fault: object) -> None:
-    with FaultyServer(fault, answer()) as server:
-        outcomes, _ = ask(server)
-        assert outcomes == [SLOWER]
-        assert len(server.bodies) == 2
-
-
-def test_a_server_that_asks_for_too_long_a_pause_is_not_asked_again() -> None:
-    with FaultyServer((429, {"Retry-After": "60"}, b""), answer()) as server:
-        outcomes, _ = ask(server)
-        assert "429" in outcomes[0]
-        assert len(server.bodies) == 1
-
-
-def test_a_hanging_server_costs_the_budget_and_no_more() -> None:
-    with FaultyServer("hang") as server:
-        outcomes, _ = ask(server, budget_s=0.3)
-        assert outcomes == ["ModelTimeoutError: the model did not answer within 0.3 s"]
-        assert server.hung_up.wait(10)
-
-
-def test_answer_formats_fall_back_once_from_schema_to_object_to_plain_text() -> None:
-    with FaultyServer(BAD_REQUEST, BAD_REQUEST, answer()) as server:
-        outcomes, _ = ask(server, times=2)
-        kinds = [dict(body.get("response_format", {})).get("type") for body in server.bodies]  # type: ignore[call-overload]
-        assert outcomes == [SLOWER, SLOWER]
-        assert kinds == ["json_schema", "json_object", None, None]
-
-
-def test_a_refusal_of_the_model_is_an_error_and_not_an_answer() -> None:
-    with FaultyServer(answer("", refusal="I cannot help with that")) as server:
-        assert ask(server)[0] == ["ModelRefusedError: the model declined to answer"]
-
-
-def test_a_wrong_key_is_not_retried_and_never_quoted() -> None:
-    with FaultyServer((401, {}, b"")) as server:
-        outcomes, _ = ask(server)
-        assert "401" in outcomes[0]
-        assert "a-key" not in outcomes[0]
-        assert len(server.bodies) == 1
-
-
-def test_tokens_and_their_price_are_counted() -> None:
-    with FaultyServer(answer()) as server:
-        _, model = ask(server, times=2)
-        assert (model.prompt_tokens, model.answer_tokens) == (14, 6)
-        assert model.cost_usd == pytest.approx(14 * 0.15e-6 + 6 * 0.60e-6)
-
-
-def test_the_breaker_opens_after_three_failures_and_closes_after_a_good_probe() -> None:
-    now = [0.0]
-    breaker = Breaker(lambda: now[0])
-    with FaultyServer(*[(401, {}, b"")] * 4, answer()) as server:
-        outcomes, _ = ask(server, times=4, breaker=breaker)
-        assert "left alone" in outcomes[3]
-        assert len(server.bodies) == 3
-        now[0] = 6.0
-        assert "401" in ask(server, times=2, breaker=breaker)[0][0]  # the probe fails: open again, twice as long
-        assert len(server.bodies) == 4
-        now[0] = 17.0
-        assert ask(server, times=2, breaker=breaker)[0] == [SLOWER, SLOWER]
 
 
 def test_a_superseded_thought_hangs_up(bank: str) -> None:
@@ -416,37 +289,6 @@ def test_an_unusable_answer_is_repaired_with_the_error_named(content: str, bank:
         assert [r.outcome for r in replies] == ["heard", "issued"]
         assert "cannot be used" in json.dumps(server.bodies[1])
         assert [d.manoeuvre for d in directives] == ["cruise"]
-
-
-def test_memory_keeps_outcomes_merges_likes_warns_and_stays_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slow_node.memory.MAX_LEARNT", 3)
-    memory = Memory(HashedEmbedder())
-    shipped = len(memory)
-    slower = Slots(outcome="directive", speed="slower")
-    memory.learn("take the scenic pace", "two-way", slower, "fulfilled", 2.0)
-    memory.learn("take the scenic pace!", "two-way", slower, "expired, held up by rear gap", 30.0)
-    assert len(memory) == shipped + 1
-    recalled = memory.nearest("take the scenic pace", 1)[0]
-    assert (recalled.took_s, recalled.warning) == (30.0, "last time: expired, held up by rear gap")
-    prompt = build_prompt("take the scenic pace", "two-way", [recalled], {}, short=True)
-    assert "held up by rear gap" in prompt[1]["content"]
-    for word in ("alpha", "beta", "gamma", "delta"):
-        memory.learn(f"{word} pace", "two-way", slower, "fulfilled")
-    assert len(memory) == shipped + 3
-    newest = memory.examples()[-1]
-    assert memory.forget(newest.id)
-    assert not memory.forget(newest.id)
-    memory.close()
-
-
-def test_a_near_miss_is_recalled_as_a_warning_even_where_the_wish_came_true() -> None:
-    memory = Memory(HashedEmbedder())
-    faster = Slots(outcome="directive", speed="faster")
-    memory.learn("press on, driver", "two-way", faster, "fulfilled", 4.0, 1.2)
-    assert memory.nearest("press on, driver", 1)[0].warning == "last time: near miss, 1.2 s from a collision"
-    memory.learn("press on, driver", "two-way", faster, "fulfilled", 4.0, 8.0)
-    assert memory.nearest("press on, driver", 1)[0].warning == ""
-    memory.close()
 
 
 @pytest.mark.parametrize("model", [obeys], indirect=True)
@@ -474,57 +316,9 @@ def test_the_smallest_time_to_collision_until_the_outcome_is_remembered(model: S
     assert learnt.min_ttc_s == pytest.approx(5.0 / 1.5, rel=1e-3)
 
 
-def test_a_bank_of_the_first_release_is_migrated_and_keeps_its_examples(tmp_path: Path) -> None:
-    path = tmp_path / "bank.sqlite"
-    embedder = HashedEmbedder()
-    old = sqlite3.connect(path)
-    old.execute("CREATE TABLE experience (space TEXT, command TEXT, scene TEXT, slots TEXT, outcome TEXT, took_s REAL,"
-                " vector BLOB, PRIMARY KEY (space, command))")
-    old.execute("INSERT INTO experience VALUES (?, ?, ?, ?, ?, ?, ?)",
-                (embedder.name, "scenic pace", "", SLOWER, "expired", 3.0, embedder.embed("scenic pace").tobytes()))
-    old.commit()
-    old.close()
-    for _ in range(2):
-        memory = Memory(embedder, str(path), None)
-        kept = memory.nearest("scenic pace", 1)[0]
-        memory.close()
-        assert (kept.outcome, kept.took_s, kept.min_ttc_s) == ("expired", 3.0, math.inf)
-
-
-def test_the_shipped_vectors_belong_to_the_shipped_examples() -> None:
-    embedder = load_embedder()
-    if isinstance(embedder, HashedEmbedder):
-        pytest.skip("MiniLM is not installed")
-    seeds = read_seeds()
-    vectors = shipped_vectors(embedder, seeds)
-    assert vectors is not None, "run `python -m slow_node.seeds`"
-    assert len(vectors) == len(seeds)
-    anew = [embed_command(embedder, seed.command) for seed in seeds[::25]]
-    assert np.abs(vectors[::25] @ np.transpose(anew) - anew @ np.transpose(anew)).max() < 1e-3
-
-
-@pytest.mark.parametrize("stale", ["examples", "embedder", "file"])
-def test_stale_vectors_are_noticed_and_not_used(stale: str, tmp_path: Path) -> None:
-    class Bins(HashedEmbedder):
-        name = "bins"
-
-    class Reversed(Bins):
-        def embed(self, text: str) -> Vector:
-            return super().embed(text[::-1])
-
-    path = tmp_path / "examples.jsonl"
-    path.write_text('{"command": "Faster", "scene": "", "slots": {"outcome": "directive", "speed": "faster"}}\n')
-    ship_vectors(Bins(), path)
-    assert shipped_vectors(Bins(), read_seeds(path), path) is not None
-    if stale == "examples":
-        path.write_text(path.read_text().replace("Faster", "Slower"))
-    if stale == "file":
-        path.with_suffix(".safetensors").write_bytes(b"damaged")
-    assert shipped_vectors(Reversed() if stale == "embedder" else Bins(), read_seeds(path), path) is None
-
-
-def test_the_embedded_model_understands_a_hurry(bank: str) -> None:
+def test_the_embedded_model_understands_a_hurry(bank: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("xllamacpp")
+    monkeypatch.setattr("slow_node.deliberation.SCENE_MAX_AGE_S", 60.0)  # however busy the machine is
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]

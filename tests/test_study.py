@@ -14,6 +14,7 @@ from deploy import study
 from deploy.study import Cell, cells_of, claims_of, finished, run_cell, run_cells, summary_of, t_interval
 from deploy.training import mixed_scenes, train_policy
 from fast_node.mlp import WISH, load_mlp
+from fast_node.training.train import saved_state
 from schemas.features import FEATURES, LAYOUT_HASH, N_ROWS
 from schemas.messages import MetaAction
 from schemas.process import ConfigError
@@ -104,16 +105,55 @@ def test_hurried_scenes_never_ask_for_anything_else() -> None:
     assert set(scenes.v_des) == {SCENARIOS["highway"].ego.speed_ceiling_mps}
 
 
+CLEANRL = {f"charts/{name}" for name in ("episodic_return", "episodic_length", "learning_rate", "SPS")} | {
+    f"losses/{name}" for name in ("policy_loss", "value_loss", "entropy", "approx_kl", "clipfrac",
+                                  "explained_variance")}
+
+
+def progress_of(out: Path) -> list[dict[str, str]]:
+    with out.with_suffix(".progress.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
 def test_a_resumed_training_goes_on_where_it_was_saved_and_says_so(tmp_path: Path) -> None:
     out = tmp_path / "p.safetensors"
     train_policy(out, ["two-way"], 1024, 0)
     train_policy(out, ["two-way"], 2048, 0, resume=True)
     sidecar = json.loads(out.with_suffix(".json").read_text())
     assert (sidecar["steps"], sidecar["resumed_at"]) == (2048, [1024])
-    with out.with_suffix(".progress.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert [row["global_step"] for row in rows] == ["1024", "2048"]
-    assert {"charts/episodic_return", "losses/approx_kl", "losses/value_loss"} <= rows[0].keys()
+    assert [row["global_step"] for row in progress_of(out)] == ["1024", "2048"]
+
+
+def test_every_update_is_logged_under_cleanrls_names(tmp_path: Path) -> None:
+    out = tmp_path / "p.safetensors"
+    train_policy(out, ["two-way"], 1024, 0)
+    rows = progress_of(out)
+    assert rows[0].keys() >= CLEANRL | {"global_step"}
+    events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    board = events.EventAccumulator(str(out.with_suffix(".tensorboard"))).Reload()
+    assert set(board.Tags()["scalars"]) >= CLEANRL
+
+
+def test_a_sidecar_tells_all_that_its_training_depended_on(tmp_path: Path) -> None:
+    out = tmp_path / "p.safetensors"
+    train_policy(out, ["two-way"], 1024, 0)
+    sidecar = json.loads(out.with_suffix(".json").read_text())
+    assert sidecar.keys() == {
+        "algorithm", "features", "heads", "layers", "layout_hash", "learner", "lr_schedule", "mask", "mask_preset",
+        "metrics", "resumed_at", "revision", "reward", "rollout", "scenarios", "scenes", "seed", "steps", "width"}
+    assert (sidecar["rollout"], sidecar["scenes"], sidecar["reward"]["crash"]) == (16, [64], -10.0)
+
+
+def test_a_state_from_before_masks_and_features_were_noted_is_refused_with_the_fix(tmp_path: Path) -> None:
+    import torch
+
+    out = tmp_path / "p.safetensors"
+    train_policy(out, ["two-way"], 1024, 0)
+    state = saved_state(out)
+    del state["run"]["layout_hash"], state["run"]["mask"]
+    torch.save(state, out.with_suffix(".train.pt"))
+    with pytest.raises(ConfigError, match=r"mask None.*layout_hash None.*train anew"):
+        train_policy(out, ["two-way"], 2048, 0, resume=True)
 
 
 def test_a_training_is_not_resumed_from_nothing_nor_as_another(tmp_path: Path) -> None:
@@ -179,5 +219,23 @@ def test_the_quick_study_fails_below_its_return(
 ) -> None:
     monkeypatch.setattr(study, "run_cells", lambda *_: [result("ours", final, seed) for seed in range(3)])
     assert study.run_study(tmp_path, quick=True) == code
-    assert json.loads((tmp_path / "study.json").read_text())["schema"] == study.SCHEMA
-    assert (tmp_path / "study.png").exists()
+    assert json.loads((tmp_path / "quick" / "study.json").read_text())["schema"] == study.SCHEMA
+    assert (tmp_path / "quick" / "study.png").exists()
+
+
+def test_the_quick_study_finds_no_cell_to_resume_and_leaves_a_full_study_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old, full = tmp_path / "quick" / "cells" / "two-way-ours-masked-0.result.json", tmp_path / "study.json"
+    for file in (old, full):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text("{}")
+    found: list[Path] = []
+
+    def run(cells: Any, folder: Path, jobs: int) -> list[dict[str, Any]]:
+        found.extend(folder.parent.rglob("*"))
+        return [result("ours", 9.0, seed) for seed in range(3)]
+
+    monkeypatch.setattr(study, "run_cells", run)
+    study.run_study(tmp_path, quick=True)
+    assert (found, full.read_text()) == ([], "{}")

@@ -61,8 +61,9 @@ def _matplotlib(plot: Path | None) -> None:
                     "  fastslow bench latency --seconds 240 --json --plot latency.png\n\n"
                     "  fastslow bench latency --seconds 900 --load llm --peer none\n\n"
                     "Loads: none; cpu, a thread per core of matrix products; llm, the embedded language model "
-                    "answering without pause. Peers that are not installed are left out: "
-                    "pip install 'fastslow[bench]'. What dies is absent from the table, with the reason; "
+                    "answering without pause. Several loads take turns in blocks of a minute, or of a quarter of "
+                    "--seconds, so that a machine that drifts does so for all of them. Peers that are not "
+                    "installed are absent: pip install 'fastslow[bench]'. What dies is absent too, with the reason; "
                     "the exit code is 1 only if ours or the floor is.")
 def latency(
     seconds: Annotated[float, typer.Option(min=2.0, help="Paced time under each load; p99.9 needs 200.")] = 240.0,
@@ -170,23 +171,25 @@ def compare(
     b: Annotated[Path, typer.Argument(help="Another one.")],
     as_json: Json = False,
 ) -> None:
-    """Compare two saved results of `bench latency`: the ratio B / A of p50 and p99, with 95 % intervals."""
+    """Compare two saved results of `bench latency`: the ratio B / A of p50 and p99, with 95 % intervals.
+
+    What makes the two incomparable is said first. Exit code 1: they have no row in common.
+    """
     from deploy.bench import figures
     from schemas.process import ConfigError
 
     try:
-        rows = figures.compare(figures.read(a), figures.read(b))
+        result = figures.compare(figures.read(a), figures.read(b))
     except ConfigError as error:
         raise _fail(error) from None
     if as_json:
-        typer.echo(json.dumps({"schema": "fastslow.bench.compare/1", "rows": rows}))
-        return
-    for row in rows:
-        said = "   ".join(
-            f"{name[:3]} {f['a']:.0f} -> {f['b']:.0f} us, x{f['ratio']:.2f} [{f['low']:.2f}, {f['high']:.2f}]"
-            f"{' *' if f['differ'] else '  '}" for name, f in row.items() if isinstance(f, dict))
-        typer.echo(f"{row['load']:<5} {row['pace']:<13} {row['what']:<12} {said}")
-    typer.echo("* differs by more than chance; a machine whose speed drifts does that too: compare floor with floor")
+        typer.echo(json.dumps({"schema": "fastslow.bench.compare/1", **result}))
+    else:
+        for line in figures.compared(result):
+            typer.echo(line)
+    if not result["rows"]:
+        typer.echo(f"fastslow: {a} and {b} have no row in common", err=True)
+        raise typer.Exit(1)
 
 
 @app.command(epilog="Examples:\n\n  fastslow bench passenger\n\n  fastslow bench passenger --repeats 10 --json\n\n"

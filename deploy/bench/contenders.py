@@ -237,9 +237,13 @@ class Deployment:
     def scheduling(self, name: str) -> str:
         """Scheduling class of a node's main thread (Linux)."""
         pid = self._supervisor.pid(name)
+        if pid is None:
+            return "unknown"
         try:
-            policy, priority = os.sched_getscheduler(pid or 0), os.sched_getparam(pid or 0).sched_priority
-            return f"SCHED_FIFO {priority}" if policy == os.SCHED_FIFO else f"nice {os.getpriority(0, pid or 0)}"
+            if os.sched_getscheduler(pid) == os.SCHED_FIFO:
+                return f"SCHED_FIFO {os.sched_getparam(pid).sched_priority}"
+            cores = os.sched_getaffinity(pid)
+            return f"{f'core {min(cores)}, ' if len(cores) == 1 else ''}nice {os.getpriority(os.PRIO_PROCESS, pid)}"
         except (AttributeError, OSError):
             return "unknown"
 
@@ -427,12 +431,12 @@ def _json(config: PeerConfig) -> str:
 
 @contextmanager
 def loaded(load: Load, model: Model, folder: Path,
-           meanwhile: Callable[[], None] = lambda: None) -> Iterator[dict[str, object]]:
+           meanwhile: Callable[[], None] = lambda: None) -> Iterator[dict[str, float]]:
     """Keeps the machine busy for the time of the block; yields what was done, complete at its end.
 
     Raises `Lost` if the load cannot be started, and at the end of the block if it did not last.
     """
-    did: dict[str, object] = {}
+    did: dict[str, float] = {}
     if load == "cpu":
         cores = str(os.cpu_count() or 1)
         did["threads"] = int(cores)
@@ -450,39 +454,62 @@ def loaded(load: Load, model: Model, folder: Path,
 
 
 @contextmanager
-def asking(model: Model, did: dict[str, object], meanwhile: Callable[[], None] = lambda: None) -> Iterator[None]:
-    """Has a served language model answer without pause, from its first answer to the end of the block.
+def asking(model: Model, did: dict[str, float], meanwhile: Callable[[], None] = lambda: None) -> Iterator[None]:
+    """Has a served language model answer without pause, from its first word to the end of the block.
 
-    Counts in `did`; calls `meanwhile` while it waits. Raises `Lost` if the first answer does not come.
+    Puts into `did`, at the end, the answers that were completed, the tokens that were written and the seconds it took;
+    calls `meanwhile` while it waits. Raises `Lost` if the first word does not come, and at the end of the block if a
+    request failed or no answer grew during it: then the load was not what it is called.
     """
-    stop = threading.Event()
-    asker = threading.Thread(target=_ask, args=(model, stop, did), daemon=True)
+    stop, asked = threading.Event(), _Asked()
+    asker = threading.Thread(target=_ask, args=(model, stop, asked), daemon=True)
     asker.start()
     deadline = time.monotonic() + START_S
     try:
-        while not did.get("answers"):
+        while not asked.tokens:
             if time.monotonic() > deadline:
-                raise Lost(f"the language model does not answer: {did.get('failure', 'it is too slow')}")
+                raise Lost(f"the language model does not answer: {asked.failure or 'it is too slow'}")
             meanwhile()
             time.sleep(0.02)
+        first, began = replace(asked), time.monotonic()
         yield
+        last, seconds = replace(asked), time.monotonic() - began
+        if last.failures > first.failures:
+            raise Lost(f"the language model failed {last.failures - first.failures} requests, the last one with: "
+                       f"{last.failure}")
+        if last.tokens == first.tokens:
+            raise Lost(f"the language model wrote nothing for {seconds:.0f} s")
+        did.update(answers=last.answers - first.answers, tokens=last.tokens - first.tokens, seconds=round(seconds, 1))
     finally:
         stop.set()
         asker.join(GRACE_S)
 
 
-def _ask(model: Model, stop: threading.Event, did: dict[str, object]) -> None:
+@dataclass
+class _Asked:
+    """What has become of the requests so far."""
+
+    answers: int = 0
+    tokens: int = 0
+    failures: int = 0
+    failure: str = ""
+
+
+def _ask(model: Model, stop: threading.Event, asked: _Asked) -> None:
     import httpx
 
-    answers = tokens = 0
-    body = {"model": model.name, "max_tokens": 64,
+    body = {"model": model.name, "max_tokens": 64, "stream": True,
             "messages": [{"role": "user", "content": "Tell me how to drive on a country road, in detail."}]}
     with httpx.Client(base_url=model.base_url, timeout=120.0, trust_env=False) as client:
         while not stop.is_set():
             try:
-                reply = client.post("/chat/completions", json=body).raise_for_status().json()
-                answers, tokens = answers + 1, tokens + int(reply["usage"]["completion_tokens"])
+                with client.stream("POST", "/chat/completions", json=body) as reply:
+                    for line in reply.raise_for_status().iter_lines():
+                        asked.tokens += '"content":"' in line  # a token each
+                        if stop.is_set():
+                            return
+                asked.answers += 1
             except httpx.HTTPError as error:
-                did["failure"] = str(error) or type(error).__name__
+                asked.failure = str(error) or type(error).__name__
+                asked.failures += 1
                 stop.wait(0.5)
-            did.update(answers=answers, tokens=tokens)

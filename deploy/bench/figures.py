@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ class Row(Struct, frozen=True, kw_only=True):
     pace: str
     n: int
     p50_us: float
+    p90_us: float
     p99_us: float
     p999_us: float | None
     max_us: float
@@ -36,13 +37,13 @@ class Row(Struct, frozen=True, kw_only=True):
 
 
 def row_of(what: str, load: str, pace: str, took_us: Sequence[float], skipped: int = 0) -> Row:
-    """The row of some round trips. `skipped`: due times at which nothing was even sent; they are misses too."""
+    """The row of some round trips. `skipped`: due times at which nothing was sent in time; they are misses too."""
     took = np.asarray(took_us, float)
     if not len(took):
         raise ValueError(f"{what}, {load}, {pace}: not one round trip")
-    p50, p99, p999 = (round(float(p), 1) for p in np.percentile(took, (50, 99, 99.9)))
+    p50, p90, p99, p999 = (round(float(p), 1) for p in np.percentile(took, (50, 90, 99, 99.9)))
     return Row(
-        what=what, load=load, pace=pace, n=len(took), p50_us=p50, p99_us=p99,
+        what=what, load=load, pace=pace, n=len(took), p50_us=p50, p90_us=p90, p99_us=p99,
         p999_us=p999 if len(took) >= TICKS_FOR_P999 else None, max_us=round(float(took.max()), 1),
         misses=int((took > DEADLINE_US).sum()) + skipped)
 
@@ -65,31 +66,39 @@ def key_of(row: dict[str, Any]) -> str:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """A saved benchmark. Raises `ConfigError` if it is none."""
+    """A saved benchmark. Raises `ConfigError` if it is none, or one without histograms."""
     try:
         result: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if result.get("schema") == SCHEMA:
-            return result
+        known = result.get("schema") == SCHEMA
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from None
     except (ValueError, AttributeError):
-        pass
-    raise ConfigError(f"{path} is no result of `fastslow bench latency` (schema {SCHEMA})")
+        known = False
+    if not known:
+        raise ConfigError(f"{path} is no result of `fastslow bench latency` (schema {SCHEMA})")
+    if not {key_of(row) for row in result["rows"]} <= result.get("histograms", {}).keys():
+        raise ConfigError(f"{path} has no histograms, as what --json prints: compare the latency.json that the run "
+                          "saved in its folder")
+    return result
 
 
-def compare(a: dict[str, Any], b: dict[str, Any], draws: int = 500) -> list[dict[str, Any]]:
-    """For every row that both have: p50 and p99 of each, the ratio b / a, and its 95 % interval by bootstrap.
+HOST = ("realtime", "cpu", "kernel", "cores", "payload_bytes")
+"""What two runs must have in common for their figures to be about the software."""
+
+
+def compare(a: dict[str, Any], b: dict[str, Any], draws: int = 500) -> dict[str, Any]:
+    """For every row that both have: p50 and p99 of each, the ratio b / a, its 95 % interval by bootstrap, and the
+    p99.9, maximum and misses of each. Beside these `rows`: the names of the rows that only one of them has (`only_a`,
+    `only_b`), and what of `HOST` differs (`hosts`: a's and b's).
 
     The interval knows of chance alone: two runs on a machine whose speed drifts differ by more than it says.
     """
     rng = np.random.default_rng(0)
-    ours = {key_of(row): row for row in a["rows"]}
+    ours, theirs = ({key_of(row): row for row in result["rows"]} for result in (a, b))
+    hosts = [[result.get("host", {}).get(name) for result in (a, b)] for name in HOST]
     rows: list[dict[str, Any]] = []
-    for other in b["rows"]:
-        key = key_of(other)
-        if key not in ours:
-            continue
-        one = ours[key]
+    for key in [key for key in theirs if key in ours]:
+        one, other = ours[key], theirs[key]
         found: dict[str, Any] = {name: other[name] for name in ("what", "load", "pace")}
         resampled = [_resampled(result["histograms"][key], draws, rng) for result in (a, b)]
         for i, name in enumerate(("p50_us", "p99_us")):
@@ -97,8 +106,28 @@ def compare(a: dict[str, Any], b: dict[str, Any], draws: int = 500) -> list[dict
             found[name] = {
                 "a": one[name], "b": other[name], "ratio": round(other[name] / one[name], 3),
                 "low": round(float(low), 3), "high": round(float(high), 3), "differ": not low <= 1.0 <= high}
-        rows.append(found)
-    return rows
+        rows.append({**found, **{name: {"a": one[name], "b": other[name]} for name in ("p999_us", "max_us", "misses")}})
+    return {"rows": rows, "only_a": [key for key in ours if key not in theirs],
+            "only_b": [key for key in theirs if key not in ours],
+            "hosts": {name: pair for name, pair in zip(HOST, hosts, strict=True) if pair[0] != pair[1]}}
+
+
+def compared(result: dict[str, Any]) -> Iterator[str]:
+    """A comparison for people."""
+    for name, (one, other) in result["hosts"].items():
+        yield f"not the same {name}: {one} and {other}"
+    for row in result["rows"]:
+        said = [f"{name[:3]} {f['a']:.0f} -> {f['b']:.0f} us, x{f['ratio']:.2f} [{f['low']:.2f}, {f['high']:.2f}]"
+                f"{' *' if f['differ'] else '  '}" for name, f in row.items() if name in ("p50_us", "p99_us")]
+        for name, label in (("p999_us", "p99.9"), ("max_us", "max"), ("misses", "misses")):
+            one, other = ("-" if row[name][of] is None else f"{row[name][of]:.0f}" for of in ("a", "b"))
+            said.append(f"{label} {one} -> {other}")
+        yield f"{row['load']:<5} {row['pace']:<13} {row['what']:<12} {'   '.join(said)}"
+    for of, keys in (("a", result["only_a"]), ("b", result["only_b"])):
+        if keys:
+            yield f"only in {of}: {', '.join(keys)}"
+    if result["rows"]:
+        yield "* differs by more than chance; a machine whose speed drifts does that too: compare floor with floor"
 
 
 def _resampled(counts: dict[str, int], draws: int, rng: np.random.Generator) -> tuple[Any, Any]:
@@ -135,15 +164,13 @@ def plot(result: dict[str, Any], path: Path) -> None:
     pyplot.close(figure)
 
 
-def table(rows: Sequence[dict[str, Any]], histograms: dict[str, dict[str, int]]) -> list[str]:
-    """The rows for people; p90 comes from the histogram."""
+def table(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """The rows for people."""
     lines = [f"{'load':<5} {'pace':<13} {'what':<12} {'n':>7} {'p50':>8} {'p90':>8} {'p99':>8} {'p99.9':>8} {'max':>8} "
              f"{'misses':>6}   (us)"]
     for row in rows:
-        values, counts = centres(histograms[key_of(row)])
-        p90 = values[(counts.cumsum() >= 0.9 * counts.sum()).argmax()]
         p999 = "-" if row["p999_us"] is None else f"{row['p999_us']:.0f}"
         lines.append(
-            f"{row['load']:<5} {row['pace']:<13} {row['what']:<12} {row['n']:>7} {row['p50_us']:>8.0f} {p90:>8.0f} "
-            f"{row['p99_us']:>8.0f} {p999:>8} {row['max_us']:>8.0f} {row['misses']:>6}")
+            f"{row['load']:<5} {row['pace']:<13} {row['what']:<12} {row['n']:>7} {row['p50_us']:>8.0f} "
+            f"{row['p90_us']:>8.0f} {row['p99_us']:>8.0f} {p999:>8} {row['max_us']:>8.0f} {row['misses']:>6}")
     return lines

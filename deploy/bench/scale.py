@@ -2,11 +2,14 @@
 
 * vehicles: observations with so many vehicles to the real fast node, back to back, with the parts of its tick; and its
   step alone in this process, which goes on where the message no longer fits. A crowd stands still around the ego.
-* egos: what one process needs to answer so many at once: decode, step and encode each, one inference for all. In this
-  process and without the bus, since the deployed fast node serves one ego.
-* simulators: real simulators at 15 Hz, each with a real fast node, on one machine. Every pair has sockets of its own,
-  since a bus has one ego. They start when they are ready, so their phases are what they happen to be.
+* egos: what one process needs to compute the answers to so many at once: decode, step and encode each, one inference
+  for all. In this process, without a bus and at normal priority: the deployed fast node serves one ego.
+* simulators: real simulators at 15 Hz, each with a real fast node, side by side on one machine. They share no bus:
+  every pair has links of its own and no router, since the topics know one ego. They start when they are ready, so their
+  phases are what they happen to be. As a plain user the pairs are spread over the cores, both nodes of one on one core.
 * message_bytes: bare round trips over the low-latency link, far beyond what our topics allow.
+
+Beside the curves: the simulator's own tick among 50 vehicles, in this process, without a bus and at normal priority.
 """
 
 from __future__ import annotations
@@ -17,7 +20,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -30,8 +34,8 @@ from deploy.bench.contenders import START_S, Child, Deployment, Lost, Peers, chi
 from deploy.bench.latency import PERIOD_NS, host
 from schemas import topics
 from schemas.codec import Fault, decode, encode, rows_of
-from schemas.messages import Observation
-from schemas.realtime import Mode, resolve
+from schemas.messages import Action, MetaAction, Observation
+from schemas.realtime import Mode, resolve, trial
 
 SCHEMA = "fastslow.scale/2"
 VEHICLES = (5, 10, 20, 40, 60, 80, 100, 150, 200)
@@ -39,6 +43,16 @@ EGOS = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512)
 PAIRS = (1, 2, 4, 8, 16, 32, 48, 64)
 SIZES = (128, 512, 1024, 2048, 3072, 8192, 16_384, 32_768, 49_152, 57_344, 65_536, 98_304)
 PARTS = ("decode", "mask", "features", "policy", "rest of the step", "encode and put")
+TITLES = {
+    "vehicles": "vehicles observed by the deployed fast node",
+    "egos": "egos, batched compute in one process: no bus, normal priority",
+    "simulators": "pairs of simulator and fast node at 15 Hz, side by side, each with its own links: no shared bus",
+    "message_bytes": "message size over the bare low-latency link",
+}
+TICK_CARS = 2.5
+"""Times the cars of our highway: 50 and a few."""
+TICK_MS = 5.0
+"""What the simulator's tick may take at p99."""
 SETTLE_S = 1.0
 SILENCE_S = 3.0
 """A payload that has not arrived after this long has been lost."""
@@ -200,8 +214,9 @@ def _pairs(folder: Path, realtime: Mode, seconds: float, pairs: int) -> Point:
                 at = f"unixsock-stream/{sockets}/{module}-{i}.sock"
                 bus = {"listen": [at], "connect": [f"unixsock-stream/{sockets}/{other}-{i}.sock"] if other else [],
                        "low_latency": True}
-                return start(f"{module} {i}", folder / f"{module}-{i}.log", sys.executable, "-m", module,
-                             json.dumps({"bus": bus, "realtime": resolve(realtime), **config}))
+                with _room(realtime, i):
+                    return start(f"{module} {i}", folder / f"{module}-{i}.log", sys.executable, "-m", module,
+                                 json.dumps({"bus": bus, "realtime": realtime, **config}))
 
             nodes = [node("fast_node", i, None) for i in range(pairs)]
             _ready(nodes)
@@ -219,6 +234,21 @@ def _pairs(folder: Path, realtime: Mode, seconds: float, pairs: int) -> Point:
     late = sum(ns > 1000 * figures.DEADLINE_US for ns in took)
     busy = round(1.0 - idle_s / (seconds * (os.cpu_count() or 1)), 2)
     return _point(pairs, took, misses=late + skipped, cores_busy=busy)
+
+
+@contextmanager
+def _room(realtime: Mode, pair: int) -> Iterator[None]:
+    """What is started within the block has one core, by its pair's number, where it would choose one by itself: all
+    pairs would choose the same one."""
+    if resolve(realtime) != "user":
+        yield
+        return
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {sorted(cores)[pair % len(cores)]})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
 
 
 def _ready(nodes: Sequence[Child]) -> None:
@@ -274,6 +304,38 @@ def sizes(folder: Path, realtime: Mode, rounds: int) -> list[Point]:
     return points
 
 
+def simulator_tick(ticks: int) -> Point:
+    """The simulator's own tick, from an action to an observation, among some 50 vehicles; `x`: the fewest there were.
+
+    The time of this thread alone, beside it, tells what is the tick's cost and what the other processes'.
+    """
+    from sim_node.config import SimConfig
+    from sim_node.node import SimNode
+    from sim_node.scenarios import SCENARIOS
+
+    highway = SCENARIOS["highway"]
+    crowded = replace(highway, name="highway-crowded", flows=tuple(
+        replace(flow, count=(round(TICK_CARS * flow.count[0]), round(TICK_CARS * flow.count[1])))
+        for flow in highway.flows))
+    SCENARIOS[crowded.name] = crowded  # in this process alone
+    try:
+        node = SimNode(SimConfig(scenario=crowded.name, density=2.0))
+    finally:
+        del SCENARIOS[crowded.name]
+    node.reset(0)
+    warm_up, vehicles, took, used = 50, [], [], []
+    for k in range(warm_up + ticks):
+        action = Action(epoch=node.epoch, stamp_ns=0, answers_tick=node.tick, source="policy",
+                        meta_action=k % 5 if k % 8 == 0 else int(MetaAction.CRUISE))
+        vehicles.append(len(node._env.road.vehicles))
+        cpu, start = time.thread_time_ns(), time.monotonic_ns()
+        node.step(action, start)
+        took.append(time.monotonic_ns() - start)
+        used.append(time.thread_time_ns() - cpu)
+    cpu_p99_us = round(float(np.percentile(used[warm_up:], 99)) / 1000.0, 1)
+    return _point(min(vehicles), took[warm_up:], cpu_p99_us=cpu_p99_us, limit_us=1000.0 * TICK_MS)
+
+
 def broken(point: Point) -> str:
     """What is wrong with a point; empty if p99 holds the deadline and nothing is missed."""
     if "breaks" in point:
@@ -297,24 +359,27 @@ def run(realtime: Mode, rounds: int, seconds: float, out: Path | None) -> tuple[
     """Measure, save and return the curves and where they are. Raises `ConfigError` or `Lost` if nothing starts."""
     folder = out or Path("runs") / f"scale-{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{os.getpid()}"
     folder.mkdir(parents=True, exist_ok=True)
-    machine = host(realtime)
+    machine = {**host(realtime), "scheduling": trial(realtime)}
     seen = observed(folder, realtime)
-    parts: list[tuple[str, str, Callable[[], list[Point]]]] = [
-        ("vehicles", "vehicles observed", lambda: vehicles(folder, realtime, rounds, seen)),
-        ("egos", "egos answered by one process", lambda: egos(seen, rounds)),
-        ("simulators", "simulators, each with its fast node, at 15 Hz", lambda: simulators(folder, realtime, seconds)),
-        ("message_bytes", "message size", lambda: sizes(folder, realtime, rounds)),
-    ]
+    parts: dict[str, Callable[[], list[Point]]] = {
+        "vehicles": lambda: vehicles(folder, realtime, rounds, seen),
+        "egos": lambda: egos(seen, rounds),
+        "simulators": lambda: simulators(folder, realtime, seconds),
+        "message_bytes": lambda: sizes(folder, realtime, rounds),
+    }
     curves: dict[str, list[Point]] = {}
-    for name, title, measure in parts:
-        say(f"bench: {title}")
+    for name, measure in parts.items():
+        say(f"bench: {TITLES[name]}")
         try:
             curves[name] = measure()
         except Lost as lost:
             say(f"bench: without {name}: {lost}")
             curves[name] = []
+    say("bench: the simulator's own tick")
     result = {"schema": SCHEMA, "host": machine, "codec_limit_bytes": topics.MAX_MESSAGE_BYTES,
-              "curves": {name: {"points": points, "knee": knee(points)} for name, points in curves.items()}}
+              "simulator_tick": simulator_tick(max(1000, rounds)),
+              "curves": {name: {"what": TITLES[name], "points": points, "knee": knee(points)}
+                         for name, points in curves.items()}}
     path = folder / "scale.json"
     path.write_text(json.dumps(result) + "\n", encoding="utf-8")
     return result, path
@@ -322,12 +387,20 @@ def run(realtime: Mode, rounds: int, seconds: float, out: Path | None) -> tuple[
 
 def lines(result: dict[str, Any]) -> Iterator[str]:
     """The result for people."""
+    machine, tick = result["host"], result["simulator_tick"]
+    yield (f"{machine['cpu']}, {machine['cores']} cores, {machine['kernel']}, scheduling: {machine['scheduling']}, "
+           f"load average {machine['load_average'][0]:g} at the start")
     for name, curve in result["curves"].items():
+        yield curve["what"]
         yield f"{name:>13} {'n':>7} {'p50':>9} {'p99':>9}   (us)"
         for point in curve["points"]:
             times = f"{point['n']:>7} {point['p50_us']:>9.0f} {point['p99_us']:>9.0f}" if "n" in point else " " * 27
             yield f"{point['x']:>13} {times}   {_remarks(point)}".rstrip()
         yield f"  holds up to {curve['knee']['holds']}; {curve['knee']['then']}"
+    verdict = "reached" if tick["p99_us"] <= tick["limit_us"] else "MISSED"
+    yield (f"the simulator's own tick, {tick['x']} vehicles, one process, no bus, normal priority: p50 "
+           f"{tick['p50_us'] / 1000.0:.2f}, p99 {tick['p99_us'] / 1000.0:.2f} ms of {tick['n']} (of its own CPU time "
+           f"p99 {tick['cpu_p99_us'] / 1000.0:.2f}); {verdict}: p99 <= {tick['limit_us'] / 1000.0:g} ms")
     yield f"the codec refuses more than {result['codec_limit_bytes']} bytes on our topics"
 
 

@@ -27,7 +27,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from fast_node.mask import VERSION as MASK_VERSION
 from fast_node.mlp import WISH, MlpPolicy, load_mlp
 from fast_node.training.rollout import Mixed
-from fast_node.training.train import Logits, random_inputs, revision
+from fast_node.training.train import Logits, conditions, random_inputs, revision
 from schemas.features import BOUND, FEATURES, LAYOUT_HASH, N_ROWS, Array
 from schemas.messages import POLICY_ACTIONS, MetaAction
 
@@ -137,7 +137,7 @@ def learn(
                "crash_rate": round(float(np.mean([c for _, c in last])), 4)} if last else {}
     export(model, out, {
         **sidecar, "mask": None if variant == "bare" else MASK_VERSION, "steps": model.num_timesteps, "seed": seed,
-        "scenarios": [part.task.name for part in scenes.parts], "learner": {**COMMON, **CONFIG[algorithm]},
+        **conditions(scenes), "learner": {**COMMON, **CONFIG[algorithm]},
         "revision": revision(), "metrics": metrics})
     return metrics
 

@@ -1,4 +1,4 @@
-"""The paper's attention network (Eq. 10-12) with a value head. Axes: B batch, N rows, F features, D width."""
+"""The paper's attention network (Eq. 11-13) with a value head (Eq. 14). Axes: B batch, N rows, F features, D width."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from schemas.messages import POLICY_ACTIONS
 
 
 class Encoder(nn.Module):
-    """z <- z + MHSA(norm z) + FFN(norm z): Eq. 11 with a pre-norm and a residual term, our departure, for stability."""
+    """z <- z + MHSA(norm z) + FFN(norm z): Eq. 12 with a pre-norm and a residual term, our departure, for stability."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -55,6 +55,7 @@ class ActorCritic(nn.Module):
 
     def __init__(self, width: int = 128, heads: int = 2, layers: int = 1) -> None:
         super().__init__()
+        self.heads = heads
         self.embed = nn.Linear(len(FEATURES), width)
         self.layers = nn.ModuleList(Encoder(width, heads) for _ in range(layers))
         self.policy = nn.Linear(width, POLICY_ACTIONS)
@@ -63,10 +64,10 @@ class ActorCritic(nn.Module):
         nn.init.zeros_(self.policy.bias)
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        z, present = self.embed(x), x[..., 0] > 0
+        z, present = self.embed(x), x[..., 0] > 0  # Eq. 11
         for layer in self.layers[:-1]:
-            z = layer(z, present)
+            z = layer(z, present)  # Eq. 12
         last = self.layers[-1]
         assert isinstance(last, Encoder)
         ego = last.ego(z, present)
-        return self.policy(ego), self.value(ego).squeeze(-1)
+        return self.policy(ego), self.value(ego).squeeze(-1)  # Eq. 13, before its softmax, and Eq. 14

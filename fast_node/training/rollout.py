@@ -287,6 +287,11 @@ class Mixed:
         """(S,) rewards of the running episodes so far."""
         return np.concatenate([p.returns for p in self.parts])
 
+    @property
+    def age(self) -> Ints:
+        """(S,) decisions of the running episodes so far."""
+        return np.concatenate([p.age for p in self.parts])
+
 
 class Driver:
     """Drives a fleet at 15 Hz exactly as the fast node does: the same mask, wishes, features and choice."""

@@ -1,4 +1,28 @@
-"""`fastslow train`: learn one policy for several scenarios, export it as safetensors with a JSON sidecar."""
+"""`fastslow train`: learn one policy for several scenarios, export it as safetensors with a JSON sidecar.
+
+The paper's equations, by the numbers that its source gives them, and where they are:
+
+* Eq. 10  o_t = (o_env, y_des): the wish stands in the observation's ego row (`schemas.features`); the directives are
+  drawn in `rollout.Scenes`.
+* Eq. 11  z^0 = f_embed(o_t);  Eq. 12  z^(l+1) = MHSA(z^l) + FFN(z^l);  Eq. 13  pi = softmax(W z^L + b): `network`.
+* Eq. 14  V(s_t) = E[sum_k gamma^k r_(t+k)]: `ActorCritic.value`, learnt by Eq. 17.
+* Eq. 15  A_t = sum_(k<K) gamma^k r_(t+k) + gamma^K V(s_(t+K)) - V(s_t): `learner.advantages`.
+* Eq. 16  grad J = E[grad log pi(a_t | o_t) A_t], not far from the old policy;  Eq. 17  min E[(V - V_target)^2]:
+  `learner.update`.
+
+As the paper has them: two heads, width 128, gamma 0.99, learning rate 5e-4, 1e5 decisions. Where we depart from it:
+
+* Wish: speed and headway beside y_des, which only the ego's row has; drawn at the start, and again during the episode.
+* Encoder: normalised inputs and a residual term, z + MHSA(norm z) + FFN(norm z); one layer (the paper names no L).
+* Readout: policy and value from the ego's row of z^L; the paper does not say of which. Both share the network below.
+* Closed actions have no probability, in training as in driving; the paper's mask works at runtime only.
+* Advantage: generalised, lambda 0.95, in the place of one K; an episode that is cut off is bootstrapped. V_target is
+  this advantage plus V. Per minibatch it is brought to mean 0 and deviation 1.
+* Policy: the clipped surrogate (0.2), several epochs over a batch, in the place of Eq. 16's plain gradient; its
+  constraint is that an update ends where KL(old || new) leaves the trust region.
+* Loss: one for policy and value (weight 0.5), with an entropy bonus (0.01); gradients are clipped to norm 0.5.
+* The learning rate falls linearly to a tenth.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +44,25 @@ from safetensors.torch import save_file
 
 from fast_node.mask import VERSION as MASK_VERSION
 from fast_node.policy import load_policy
-from fast_node.training.learner import LearnerConfig, advantages, masked_distribution, update
+from fast_node.training.learner import (
+    LearnerConfig,
+    advantages,
+    explained_variance,
+    following_values,
+    masked_distribution,
+    update,
+)
 from fast_node.training.network import ActorCritic
 from fast_node.training.rollout import Mixed
+from schemas import reward as rewards
 from schemas.features import FEATURES, LAYOUT_HASH, N_ROWS, Array
 from schemas.process import ConfigError
 
 WIDTH, HEADS, LAYERS = 128, 2, 1
 ROLLOUT = 16
+"""Decisions of every scene between two updates."""
+LR_END = 0.1
+"""The learning rate falls linearly to this share of it."""
 SAVE_EVERY = 10
 """Updates between two states to resume from."""
 
@@ -53,14 +88,16 @@ def train(
     config = config or LearnerConfig()
     net = ActorCritic(WIDTH, HEADS, LAYERS)
     optimizer = torch.optim.Adam(net.parameters(), lr=config.lr, eps=1e-5, fused=True)
-    run = {"seed": seed, "scenarios": [part.task.name for part in scenes.parts], "learner": asdict(config),
-           "mask_preset": scenes.parts[0].task.preset}
+    run = {"seed": seed, **conditions(scenes), "learner": asdict(config), "rollout": ROLLOUT,
+           "lr_schedule": {"shape": "linear", "end": LR_END}, "mask_preset": scenes.parts[0].task.preset,
+           "mask": MASK_VERSION, "layout_hash": LAYOUT_HASH}
     done, resumed_at = 0, list[int]()
     if resume:
         saved = saved_state(out)
         done, resumed_at = saved["steps"], [*saved["resumed_at"], saved["steps"]]
-        if saved["run"] != run:
-            raise ConfigError(f"{out.name} was trained with {saved['run']}: resume it with the same, or train anew")
+        if (was := saved["run"]) != run:
+            other = [f"{k} {was.get(k)!r}, not {run.get(k)!r}" for k in {**was, **run} if was.get(k) != run.get(k)]
+            raise ConfigError(f"{out.name} was trained with {'; '.join(other)}: resume it with the same, or train anew")
         if done >= steps:
             raise ConfigError(f"{out.name} has learnt from {done} decisions already: resume it with more --steps")
         net.load_state_dict(saved["net"])
@@ -75,16 +112,17 @@ def train(
     figures: dict[str, float] = {}
     episode_returns: list[float] = []
     crashes: list[bool] = []
+    lengths: list[int] = []
     started, before = time.perf_counter(), done
     x, is_open = scenes.observe()
     watch(done, logits_of)
     with _log(out, done) as log:
         while done < steps:
             for group in optimizer.param_groups:
-                group["lr"] = config.lr * max(0.1, 1.0 - done / steps)
+                group["lr"] = config.lr * max(LR_END, 1.0 - done / steps)
             keep: dict[str, list[np.ndarray]] = {k: [] for k in (
                 "x", "is_open", "action", "log_prob", "value", "last_value", "reward", "terminated", "ended")}
-            for _ in range(ROLLOUT):  # act: a_t ~ pi(. | o_t) over the open actions (Eq. 12)
+            for _ in range(ROLLOUT):  # act: a_t ~ pi(. | o_t) over the open actions (Eq. 13), and V (Eq. 14)
                 with torch.no_grad():
                     logits, value = net(torch.from_numpy(x))
                     dist = masked_distribution(logits, torch.from_numpy(is_open))
@@ -98,6 +136,7 @@ def train(
                     last_value[ended] = _values(net, next_x[ended])
                     episode_returns += scenes.returns[ended].tolist()
                     crashes += terminated[ended].tolist()
+                    lengths += scenes.age[ended].tolist()
                     scenes.reset(ended)
                     next_x, next_open = scenes.observe()
                 for k, v in (("x", x), ("is_open", is_open), ("action", action.numpy()),
@@ -107,10 +146,9 @@ def train(
                 x, is_open = next_x, next_open
                 done += len(x)
                 watch(done, logits_of)
-            # V(o_{t+1}) of the same episode, then advantages and value targets (Eq. 14, 16), then the update (Eq. 15)
+            # V(o_{t+1}) of the same episode, advantages (Eq. 15) and value targets, then the update (Eq. 16, 17)
             b = {k: np.stack(v) for k, v in keep.items()}
-            following = np.concatenate([b["value"][1:], _values(net, x)[None]])
-            next_value = np.where(b["ended"], b["last_value"], following)
+            next_value = following_values(b["value"], b["last_value"], b["ended"], _values(net, x))
             advantage = advantages(b["reward"], b["value"], next_value, b["terminated"], b["ended"],
                                    config.gamma, config.lam)
             flat = {k: torch.from_numpy(b[k].reshape(-1, *b[k].shape[2:]))
@@ -120,8 +158,10 @@ def train(
             flat["advantage"] = torch.from_numpy(advantage.reshape(-1))
             flat["value_target"] = torch.from_numpy((advantage + b["value"]).reshape(-1))
             figures = update(net, optimizer, config, flat, generator)
+            figures["explained_variance"] = explained_variance(b["value"], advantage + b["value"])
             figures["episodic_return"] = float(np.mean(episode_returns[-200:])) if episode_returns else float("nan")
             figures["crash_rate"] = float(np.mean(crashes[-200:])) if crashes else float("nan")
+            figures["episodic_length"] = float(np.mean(lengths[-200:])) if lengths else float("nan")
             figures["SPS"] = (done - before) / (time.perf_counter() - started)
             figures["learning_rate"] = optimizer.param_groups[0]["lr"]
             log(done, figures)
@@ -130,7 +170,7 @@ def train(
                 _save(out, {"run": run, "steps": done, "resumed_at": resumed_at, "net": net.state_dict(),
                             "optimizer": optimizer.state_dict(), "rng": torch.get_rng_state(),
                             "generator": generator.get_state()})
-    export(net, out, {"steps": done, **run, "resumed_at": resumed_at, "revision": revision(),
+    export(net, out, {"algorithm": "ours", "steps": done, **run, "resumed_at": resumed_at, "revision": revision(),
                       "metrics": {k: round(v, 4) for k, v in figures.items() if k not in ("SPS", "learning_rate")}})
     return figures
 
@@ -140,14 +180,21 @@ def _values(net: ActorCritic, x: Array) -> Array:
         return np.asarray(net(torch.from_numpy(x))[1].numpy())
 
 
+def conditions(scenes: Mixed) -> dict[str, Any]:
+    """What a policy learns in, for its sidecar: scenarios, scenes of each, and the reward's weights."""
+    return {"scenarios": [part.task.name for part in scenes.parts], "scenes": [len(part.wish) for part in scenes.parts],
+            "reward": {name.lower(): value for name, value in vars(rewards).items()
+                       if name.isupper() and isinstance(value, float)}}
+
+
 def export(net: ActorCritic, out: Path, sidecar: dict[str, object], observations: int = 1000) -> None:
     """Write weights and sidecar, and check the NumPy policy against torch; raises `ValueError` beyond 1e-5
     of the largest logit."""
     out.parent.mkdir(parents=True, exist_ok=True)
     save_file({k: v.contiguous() for k, v in net.state_dict().items() if not k.startswith("value")}, out)
     out.with_suffix(".json").write_text(json.dumps({
-        "layout_hash": LAYOUT_HASH, "features": FEATURES, "mask": MASK_VERSION, "layers": LAYERS, "heads": HEADS,
-        "width": WIDTH, **sidecar}, indent=1) + "\n")
+        "layout_hash": LAYOUT_HASH, "features": FEATURES, "mask": MASK_VERSION, "layers": len(net.layers),
+        "heads": net.heads, "width": net.embed.out_features, **sidecar}, indent=1) + "\n")
     policy = load_policy(out)
     x = random_inputs(observations)
     with torch.no_grad():
@@ -193,11 +240,16 @@ def _save(out: Path, state: dict[str, Any]) -> None:
 
 
 LOGGED = {
-    "charts/episodic_return": "episodic_return", "charts/crash_rate": "crash_rate",
-    "charts/learning_rate": "learning_rate", "charts/SPS": "SPS", "losses/policy_loss": "policy_loss",
-    "losses/value_loss": "value_loss", "losses/approx_kl": "approx_kl", "losses/updates": "updates",
+    "charts/episodic_return": "episodic_return", "charts/episodic_length": "episodic_length",
+    "charts/crash_rate": "crash_rate", "charts/learning_rate": "learning_rate", "charts/SPS": "SPS",
+    "losses/policy_loss": "policy_loss", "losses/value_loss": "value_loss", "losses/entropy": "entropy",
+    "losses/approx_kl": "approx_kl", "losses/clipfrac": "clipfrac", "losses/explained_variance": "explained_variance",
+    "losses/updates": "updates",
 }
-"""CleanRL's names of our figures."""
+"""CleanRL's names of our figures, and two names of our own: charts/crash_rate and losses/updates.
+
+Return [1], length [decisions] and crash rate are means of the last 200 episodes.
+"""
 
 
 @contextlib.contextmanager

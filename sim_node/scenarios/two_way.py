@@ -58,9 +58,11 @@ CASE = replace(
     TWO_WAY,
     name="two-way-case",
     description="the paper's case study: a clear oncoming lane, a lead that a hurried ego has passed after 20 s",
+    # The lane to borrow has the lower limit: on the way home there is speed to gain.
+    lanes=(*lanes(3000.0, 7.0)[:1], *lanes(3000.0, 8.0)[1:]),
     ego=EgoPlan(lanes=(1,), x_m=(400.0, 400.0), speed_mps=(4.8, 5.0), speed_ceiling_mps=8.0),
     flows=(
-        flow(1, "ahead", (1, 1), (35.5, 36.5), (0.0, 0.0), (4.97, 5.03)),
+        flow(1, "ahead", (1, 1), (38.4, 39.0), (0.0, 0.0), (4.18, 4.22)),
         flow(1, "behind", (1, 1), (25.0, 35.0), (0.0, 0.0), (4.5, 5.0), not_faster_than_ego=True),
     ),
     sight_m=400.0,
