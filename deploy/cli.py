@@ -191,7 +191,8 @@ def train(
 
         figures = (train_policy(out, roads, steps, seed, resume=resume, preset=mask_preset) if algorithm == "ours"
                    else train_baseline(algorithm, out, roads, steps, seed, bare=bare))
-    typer.echo(f"{out}: {', '.join(f'{name} {value:.3g}' for name, value in figures.items())}", err=True)
+    told = [f"{name} {figures[name]:.3g}" for name in ("episodic_return", "crash_rate") if name in figures]
+    typer.echo(": ".join((str(out), *told)), err=True)
 
 
 @app.command(epilog="Examples:\n\n  fastslow study\n\n  fastslow study --quick --json\n\n" + _EXITS)

@@ -86,7 +86,7 @@ def test_a_shipped_baseline_learnt_on_our_roads_with_our_budget_and_never_collid
 ) -> None:
     ours = load_policy().sidecar
     theirs = [load_mlp(shipped(algorithm, variant)).sidecar for variant in VARIANTS]
-    assert all((t["scenarios"], t["seed"]) == (ours["scenarios"], ours["seed"]) for t in theirs)
+    assert all(t["scenarios"] == ours["scenarios"] for t in theirs)
     assert all(100_000 <= int(str(t["steps"])) <= int(str(ours["steps"])) for t in theirs)
     for name in ("highway", "merge", "two-way"):
         assert not any(r.collided for r in drive(f"{algorithm}-masked", SCENARIOS[name], range(1000, 1020)))
