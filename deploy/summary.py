@@ -64,7 +64,8 @@ class Summary:
         self._vetoes += event.kind == "vetoed"
         if len(self._events) < KEPT:
             self._events.append({"at_s": self._at(event.stamp_ns), "kind": event.kind, "rule": event.rule,
-                                 "vehicle": event.vehicle, "command_id": event.command_id})
+                                 "vehicle": event.vehicle, "duration_s": round(event.duration_s, 3),
+                                 "detail": event.detail, "command_id": event.command_id})
 
     def observation(self, observation: Observation) -> None:
         """Keeps when the ego began to aim for another lane, and when it was there."""

@@ -46,7 +46,7 @@ class SlowNode:
         """For the heartbeat; called from its thread."""
         return {**self._deliberation.figures, "calls": float(self._model.calls), "model_ms": self._model_ms,
                 "tokens": float(self._model.prompt_tokens + self._model.answer_tokens),
-                "cost_usd": self._model.cost_usd}
+                **({"cost_usd": self._model.cost_usd} if self._model.price_usd is not None else {})}
 
     async def run(self, stopped: Callable[[], bool] = lambda: False, heart: Heartbeat | None = None) -> None:
         """Until `stopped`, which tests use; a process is ended by its signals."""

@@ -41,7 +41,7 @@ from schemas import topics
 from schemas.bus import BusConfig, open_bus
 from schemas.clock import NS
 from schemas.codec import encode
-from schemas.realtime import Mode, resolve
+from schemas.realtime import Mode, resolve, trial
 
 PEERS: tuple[Transport, ...] = ("floor", "bus", "bus-default", "zmq", "dora")
 PACES = ("15hz", "back-to-back")
@@ -368,7 +368,7 @@ def host(realtime: Mode) -> dict[str, object]:
     return {
         "revision": _revision(), "cpu": _cpu(), "cores": os.cpu_count(),
         "kernel": f"{platform.system()} {platform.release()}",
-        "load_average": [round(x, 2) for x in os.getloadavg()], "realtime": resolve(realtime), "versions": versions}
+        "load_average": [round(x, 2) for x in os.getloadavg()], "realtime": trial(realtime), "versions": versions}
 
 
 def _revision() -> str | None:
