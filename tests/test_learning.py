@@ -208,6 +208,15 @@ def test_the_policy_does_not_depend_on_the_order_of_the_other_vehicles():
     assert np.allclose(policy.logits(x), policy.logits(shuffled), atol=1e-4)
 
 
+def test_the_attention_of_each_head_sums_to_one_and_leaves_absent_vehicles_out():
+    x = np.random.default_rng(0).normal(size=(15, len(FEATURES))).astype(np.float32)
+    x[:, 0] = np.arange(15) < 6
+    attention = load_policy().attention(x)
+    assert attention.shape == (2, 15)
+    assert np.allclose(attention.sum(-1), 1.0, atol=1e-5)
+    assert not attention[:, 6:].any()
+
+
 def test_a_policy_for_other_features_is_refused_with_the_fix(tmp_path):
     path = tmp_path / "p.safetensors"
     export(ActorCritic(), path, {}, observations=1)
