@@ -2,8 +2,8 @@
 
     python -m slow_node.training.train [--out FOLDER] [--size N] [--epochs N] [--seed N]
 
-One thread, under an hour: n-grams first, then four epochs of everything. Every epoch has new commands; the same seed
-on the same machine gives the same weights, to the last bit.
+One thread, an hour: four epochs from nothing, then a warm restart of one epoch from what was written. Every epoch
+has new commands; the same seed on the same machine gives the same weights, to the last bit.
 5 % of the hand-written frames (not of the sentences made from them) are held out; on what is made of those the
 temperatures of the heads are fitted, and the figures in the sidecar are measured.
 """
@@ -40,6 +40,7 @@ TARGETS = ("attention.self.query", "attention.self.key", "attention.self.value",
            "intermediate.dense", "output.dense")
 BATCH = 48
 LEARNING_RATE = 1.2e-3
+RESTARTS = 1
 
 
 class Encoder(nn.Module):
@@ -203,7 +204,8 @@ def temperatures(logits: dict[str, Tensor], labels: Tensor) -> dict[str, float]:
     return found
 
 
-def learn_spelling(network: Network, data: Data, seed: int, epochs: int = 5, rate: float = 4e-3) -> None:
+def learn_spelling(network: Network, data: Data, seed: int, epochs: int = 5, rate: float = 4e-3,
+                   batch: int = 256) -> None:
     """The n-grams alone, on many more commands than the encoder has time for."""
     parts = [*network.sparse.parameters(), *network.top.parameters(), network.sparse_bias]
     optimiser = torch.optim.Adam(parts, lr=rate)
@@ -211,11 +213,24 @@ def learn_spelling(network: Network, data: Data, seed: int, epochs: int = 5, rat
     for epoch in range(epochs):
         for group in optimiser.param_groups:
             group["lr"] = rate * (1 - epoch / epochs)
-        for _, _, _, buckets, offsets, labels in data.batches(r, 256):
+        for _, _, _, buckets, offsets, labels in data.batches(r, batch):
             loss = loss_of(by_head(network.spelling(buckets, offsets)), labels)
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
+
+
+def restore(network: Network, folder: Path) -> None:
+    """Read weights that `save` wrote."""
+    tensors = load_file(folder / DELTA.name)
+    with torch.no_grad():
+        for key, value in network.encoder.delta.items():
+            value.copy_(tensors[key.replace("/", ".")].float())
+        network.dense.weight.copy_(tensors["dense.weight"].float())
+        network.dense.bias.copy_(tensors["dense.bias"].float())
+        network.top.weight.copy_(tensors["top.weight"].float())
+        network.sparse.weight.copy_(tensors["sparse.weight"].float())
+        network.sparse_bias.copy_(tensors["sparse.bias"].float())
 
 
 def learn(network: Network, stock: Stock, tokenizer: Tokenizer, size: int, epochs: int, seed: int, rate: float,
@@ -275,6 +290,24 @@ def train(out: Path, size: int, epochs: int, seed: int) -> None:
     save(network, out, check, {"seed": seed, "commands_an_epoch": size, "epochs": epochs})
 
 
+def restart(out: Path, size: int, epochs: int, seed: int, number: int) -> None:
+    """Warm restart 1, 2, ...: an epoch at half the rate, from the weights in `out`, on other commands.
+
+    Written anew is the mean of the weights before and after, which is steadier than either.
+    """
+    other = seed + 100 * number
+    network, stock, tokenizer, check = prepared(other)
+    restore(network, out)
+    before = [p.detach().clone() for p in network.parameters()]
+    spelling = Data(Generator(stock, other).samples(2 * size), None)
+    learn_spelling(network, spelling, other, epochs=2, rate=1e-3, batch=128)
+    learn(network, stock, tokenizer, size, 1, other, LEARNING_RATE / 2, check)
+    with torch.no_grad():
+        for after, old in zip(network.parameters(), before, strict=True):
+            after.lerp_(old, 0.5)
+    save(network, out, check, {"seed": seed, "commands_an_epoch": size, "epochs": epochs + number})
+
+
 def save(network: Network, out: Path, check: Data, settings: dict[str, int]) -> None:
     """Float16 weights, and a JSON sidecar that says what they are. Temperatures are folded into the heads."""
     logits, labels = evaluate(network, check)
@@ -304,6 +337,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     train(options.out, options.size, options.epochs, options.seed)
+    for number in range(1, RESTARTS + 1):
+        restart(options.out, options.size, options.epochs, options.seed, number)
 
 
 if __name__ == "__main__":
