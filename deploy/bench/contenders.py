@@ -500,7 +500,9 @@ def _ask(model: Model, stop: threading.Event, asked: _Asked) -> None:
 
     body = {"model": model.name, "max_tokens": 64, "stream": True,
             "messages": [{"role": "user", "content": "Tell me how to drive on a country road, in detail."}]}
-    with httpx.Client(base_url=model.base_url, timeout=120.0, trust_env=False) as client:
+    # A connection each: llama.cpp's server closes one that has streamed, and the next request would find it closed.
+    alone = httpx.Limits(max_keepalive_connections=0)
+    with httpx.Client(base_url=model.base_url, timeout=120.0, trust_env=False, limits=alone) as client:
         while not stop.is_set():
             try:
                 with client.stream("POST", "/chat/completions", json=body) as reply:
