@@ -36,6 +36,8 @@ class BusConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     mode: Literal["peer", "client", "router"] = "peer"
     listen: tuple[str, ...] = ()
     connect: tuple[str, ...] = ()
+    namespace: str = ""
+    """Put before every key, so that several cars can share one bus: `car-7` makes it `car-7/fastslow/ego/...`."""
     low_latency: bool = False
     """Links to others who want it as well carry no priorities and no fragments: 25 % faster, but a message over some
     48 KB vanishes. Only for sessions whose every message is bounded; never for one that strangers send to."""
@@ -250,6 +252,8 @@ def zenoh_settings(config: BusConfig) -> dict[str, object]:
         "open/return_conditions/connect_scouted": False,
         "open/return_conditions/declares": True,
     }
+    if config.namespace:
+        settings["namespace"] = config.namespace
     if config.low_latency:
         settings["transport/unicast/qos/enabled"] = False
         settings["transport/unicast/lowlatency"] = True
@@ -264,16 +268,17 @@ def zenoh_settings(config: BusConfig) -> dict[str, object]:
 def open_bus(config: BusConfig) -> Iterator[ZenohBus]:
     """A zenoh session for the time of the block, closed at its end.
 
-    Raises `BusError` when an endpoint cannot be listened on, or when a client reaches nobody.
+    Raises `BusError` when a setting is not as zenoh wants it, an endpoint cannot be listened on, or a client reaches
+    nobody.
     """
     os.environ.setdefault("ZENOH_RUNTIME", ONE_POOL)
     import zenoh  # here, so that `--help` and lock-step runs never pay for it
 
     zenoh.init_log_from_env_or("off")
     settings = zenoh.Config()
-    for path, value in zenoh_settings(config).items():
-        settings.insert_json5(path, json.dumps(value))
     try:
+        for path, value in zenoh_settings(config).items():
+            settings.insert_json5(path, json.dumps(value))
         session = zenoh.open(settings)
     except zenoh.ZError as error:
         raise BusError(str(error).splitlines()[0]) from None

@@ -149,6 +149,21 @@ class Heartbeat:
                 state=self.state, figures=self._figures()))  # type: ignore[arg-type]
 
 
+def revision() -> str | None:
+    """The source's git commit, with -dirty when it was changed; None where it is no checkout or there is no git."""
+    import subprocess  # no node needs it, and each would pay for it at its start
+
+    root = Path(__file__).resolve().parents[1]
+    if not (root / ".git").exists():
+        return None
+    try:
+        asked = subprocess.run(["git", "describe", "--always", "--dirty", "--exclude", "*"], cwd=root,
+                               capture_output=True, text=True, timeout=5, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return asked.stdout.strip()
+
+
 class Trace:
     """Rows of integers about each tick, kept in memory and written at the end: the benchmark's view into a node."""
 

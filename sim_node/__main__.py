@@ -57,12 +57,20 @@ class RehearsingClock(MonotonicClock):
 
 
 class RoundTrips:
-    """Stamps every action's arrival from a thread of its own, so that the schedule's sleep never delays the stamp."""
+    """Stamps every action's arrival from a thread of its own, so that the schedule's sleep never delays the stamp.
+
+    The trace gets a row per tick, [ns] of CLOCK_MONOTONIC where it is a time: epoch, tick, published, how long until
+    the first action that answers it (-1: none came), due, `put_ns`, when the next tick was due and its stamp, and the
+    tick whose action that one applied.
+    """
 
     def __init__(self, actions: Subscription[Action], trace: Trace) -> None:
         self._actions, self._trace = actions, trace
         self._published: tuple[int, int, int] = (-1, -1, 0)
         self._first_ns = -1
+        self._due_ns = 0
+        self.put_ns = 0
+        """When the newest observation had been encoded and handed to the bus."""
         self._prompt = False
         self.newest: Action | None = None
         self.took_ns: deque[int] = deque(maxlen=KEPT)
@@ -72,11 +80,13 @@ class RoundTrips:
         # Not a daemon: one that comes back from zenoh while the interpreter is being torn down aborts the process.
         threading.Thread(target=self._receive, name="actions").start()
 
-    def published(self, observation: Observation, now_ns: int) -> None:
-        """The observation is about to leave; close the account of the one before."""
+    def published(self, observation: Observation, due_ns: int, now_ns: int) -> None:
+        """The observation, which was due at `due_ns`, is about to leave; close the account of the one before."""
         if self._published[0] >= 0:
             self.missed += not 0 <= self._first_ns <= BUDGET_NS
-            self._trace.add(*self._published, self._first_ns, observation.stamp_ns, observation.applied_tick)
+            self._trace.add(*self._published, self._first_ns, self._due_ns, self.put_ns, due_ns, observation.stamp_ns,
+                            observation.applied_tick)
+        self._due_ns = due_ns
         self._prompt = 0 <= self._first_ns < POLL_NS
         # In this order: a late answer to the tick before must not be taken for one to this tick.
         self._published = (observation.epoch, observation.tick, now_ns)
@@ -108,21 +118,17 @@ class RoundTrips:
 
 
 class Loop:
-    """The node, its round trips and the schedule, with the figures of the heartbeat.
+    """The node, its round trips and the schedule, with the figures of the heartbeat."""
 
-    `dues` gets a row for every tick, in the order of the round trips' trace: when it was due and when its observation
-    had been encoded and handed to the bus, both CLOCK_MONOTONIC ns.
-    """
-
-    def __init__(self, bus: Bus, node: SimNode, trips: RoundTrips, schedule: Schedule, dues: Trace) -> None:
-        self._bus, self._node, self._trips, self._schedule, self._dues = bus, node, trips, schedule, dues
+    def __init__(self, bus: Bus, node: SimNode, trips: RoundTrips, schedule: Schedule) -> None:
+        self._bus, self._node, self._trips, self._schedule = bus, node, trips, schedule
 
     def publish(self, due_ns: int) -> None:
         """Publish the current tick, which was due at `due_ns`."""
         observation = self._node.observation(time.monotonic_ns())
-        self._trips.published(observation, time.monotonic_ns())
+        self._trips.published(observation, due_ns, time.monotonic_ns())
         self._bus.publish(OBSERVATION, observation)
-        self._dues.add(due_ns, time.monotonic_ns())
+        self._trips.put_ns = time.monotonic_ns()
         for event in self._node.take_events():
             self._bus.publish(EVENT, event)
 
@@ -152,7 +158,7 @@ def warm_up(config: SimConfig) -> None:
 
 def main() -> None:
     config = load_config(SimConfig, sys.argv[1:])
-    trace, dues = Trace(config.trace), Trace(config.trace and f"{config.trace}.due")
+    trace = Trace(config.trace)
     warm_up(config)
     node = SimNode(config)
     node.reset(time.monotonic_ns() // 1_000_000)  # grows at every restart, so old actions can never be taken for new
@@ -165,7 +171,7 @@ def main() -> None:
         if bus.wait_for_reader(OBSERVATION, READER_S):
             time.sleep(SETTLE_S)
         schedule = Schedule(RehearsingClock(bus, poll), config.hz)
-        loop = Loop(bus, node, trips, schedule, dues)
+        loop = Loop(bus, node, trips, schedule)
         ticks = float("inf") if config.duration_s is None else config.duration_s * config.hz
         with Heartbeat(bus, "sim", loop.figures) as heart:
             heart.epoch = node.epoch
@@ -186,7 +192,6 @@ def main() -> None:
                 heart.state = "stopping"
                 trips.closing = True
                 trace.save()
-                dues.save()
                 time.sleep(FAREWELL_S)
 
 

@@ -118,7 +118,6 @@ class Deliberation:
 
     def __init__(self) -> None:
         self._scene: Scene | None = None
-        self._slow_lanes: frozenset[int] = frozenset()
         self._pending: _Pending | None = None
         self._intent: _Intent | None = None
         self._language = "en"
@@ -199,9 +198,9 @@ class Deliberation:
             return self._think_again(now_ns)
         return []
 
-    def on_scene(self, scene: Scene, now_ns: int, slow_lanes: frozenset[int] = frozenset()) -> list[Effect]:
-        """A new observation: watch over the active intent. `slow_lanes`: those with a slow car ahead."""
-        before, self._scene, self._slow_lanes = self._scene, scene, slow_lanes
+    def on_scene(self, scene: Scene, now_ns: int) -> list[Effect]:
+        """A new observation: watch over the active intent."""
+        before, self._scene = self._scene, scene
         intent = self._intent
         if intent is None:
             return []
@@ -283,13 +282,13 @@ class Deliberation:
         """A hurry that is over its first car, one-way and farther left than it began, could keep right."""
         right = scene.home_lane + 1
         return (intent.fulfilled and not scene.two_way and hurried(intent.slots) and right <= intent.from_lane
-                and may_take(scene, right) and right in scene.free_lanes and right not in self._slow_lanes)
+                and may_take(scene, right) and right in scene.free_lanes and right not in scene.slow_lanes)
 
     def _too_slow_there(self, intent: _Intent, scene: Scene) -> bool:
         """It was asked back to the right, has not gone yet, and would run up to a slow car there."""
         lane = intent.plan.target_lane
         return (intent.fulfilled and hurried(intent.slots) and lane == scene.home_lane + 1
-                and lane in self._slow_lanes)
+                and lane in scene.slow_lanes)
 
     def _think_again(self, now_ns: int) -> list[Effect]:
         """Plan anew for what is new, at a bounded rate; in the middle of a manoeuvre on the wrong side never.

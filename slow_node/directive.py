@@ -12,20 +12,15 @@ from dataclasses import dataclass, replace
 
 from pydantic import ValidationError
 
-from schemas.codec import rows_of
-from schemas.measures import INF, gap_m
-from schemas.messages import Manoeuvre, Observation, Style
+from schemas.measures import INF
+from schemas.messages import Manoeuvre, Style
 from slow_node.memory import Example
 from slow_node.replies import sentence
-from slow_node.scene import Scene
+from slow_node.scene import Scene, is_slow
 from slow_node.slots import Outcome, Slots
 
 SLOW_LEAD_WITHIN_M = 80.0
-CLEAR_OF_SLOW_M = 100.0
-"""A lane without a slow car within this is worth moving back to: more than above, or it would be left at once."""
 SLOWER_BY_MPS, SLOWEST_MPS = 2.0, 1.0
-SLOWER_THAN_LIMIT_MPS = 0.5
-"""A car ahead that drives more than this below the limit is slow."""
 LANE_ENDS_S = 10.0
 """Nobody is sent to a lane that ends within this time of driving while another goes on."""
 OVER_LIMIT_MPS = 0.05
@@ -179,18 +174,8 @@ def may_take(scene: Scene, lane: int) -> bool:
 def slow_lead(scene: Scene) -> bool:
     """A car to overtake: ahead in the ego's own lane, near and slower than the limit."""
     lead = scene.lead
-    return lead is not None and lead.gap_m < SLOW_LEAD_WITHIN_M and _slow(lead.speed_mps, _cap(scene, scene.home_lane))
-
-
-def slow_lanes(observation: Observation) -> frozenset[int]:
-    """Lanes in which a slow car is ahead within `CLEAR_OF_SLOW_M`: no reason to move there."""
-    rows = rows_of(observation).tolist()
-    ego = rows[0]
-    return frozenset(
-        int(row[8]) for row in rows[1:]
-        if row[1] > ego[1] and 0 <= row[8] < len(observation.lanes)
-        and gap_m(ego[1], row[1], ego[6], row[6]) < CLEAR_OF_SLOW_M
-        and _slow(row[3], observation.lanes[int(row[8])].speed_limit_mps))
+    return (lead is not None and lead.gap_m < SLOW_LEAD_WITHIN_M
+            and is_slow(lead.speed_mps, _cap(scene, scene.home_lane)))
 
 
 def return_plan(scene: Scene, language: str = "en") -> Plan:
@@ -223,10 +208,6 @@ def _overtake(slots: Slots, scene: Scene) -> Plan | Refusal:
             cap = _cap(scene, lane)
             return Plan("overtake", lane, cap, style="assertive", say=_say(slots, "overtake", cap))
     return _refusal("there is no lane to overtake in", slots, "no_lane")
-
-
-def _slow(speed_mps: float, limit_mps: float) -> bool:
-    return speed_mps < limit_mps - SLOWER_THAN_LIMIT_MPS
 
 
 def _cap(scene: Scene, lane: int | None) -> float:

@@ -15,7 +15,6 @@ from schemas.messages import Directive, Reply
 from schemas.process import Heartbeat, log
 from slow_node.config import SlowConfig
 from slow_node.deliberation import Call, Deliberation, Drop, Effect, Learn
-from slow_node.directive import slow_lanes
 from slow_node.embedding import load_embedder
 from slow_node.memory import Memory
 from slow_node.model import MAX_TOKENS, MAX_TOKENS_SHORT, ChatModel
@@ -68,8 +67,7 @@ class SlowNode:
         observation = self._observations.peek()
         if observation is not None and (observation.epoch, observation.tick) != self._seen:
             self._seen = (observation.epoch, observation.tick)
-            self._carry_out(self._deliberation.on_scene(
-                encode_scene(observation), now_ns, slow_lanes(observation)))
+            self._carry_out(self._deliberation.on_scene(encode_scene(observation), now_ns))
         for event in self._events.take():
             self._carry_out(self._deliberation.on_event(event, now_ns))
         for number, payload in enumerate(self._commands.take()):

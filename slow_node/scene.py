@@ -14,6 +14,11 @@ BESIDE_M = 12.0
 """A lane is free when no centre of a vehicle lies within this distance of the ego's, along the road."""
 RELEVANT_M, RELEVANT_N = 80.0, 4
 """The nearest vehicles around, up to this gap and number, are described beside the lead and the oncoming car."""
+CLEAR_OF_SLOW_M = 100.0
+"""A lane without a slow car within this is worth moving back to: farther than a car to overtake, or it would be left
+again at once."""
+SLOWER_THAN_LIMIT_MPS = 0.5
+"""A car ahead that drives more than this below the limit is slow."""
 LANE_ENDS_M = 300.0
 """A lane that ends within this distance is said to end."""
 
@@ -65,6 +70,8 @@ class Scene:
     oncoming_closing_mps: float
     """How fast that gap shrinks; 0 when none is in sight."""
     free_lanes: tuple[int, ...]
+    slow_lanes: frozenset[int]
+    """Those with a slow car ahead within `CLEAR_OF_SLOW_M`: no reason to move there."""
     positions: dict[int, float]
     """Centre along the road of every vehicle seen, by id."""
     neighbours: tuple[Neighbour, ...]
@@ -84,9 +91,14 @@ class Scene:
         return 0 <= lane < len(self.lanes) and self.lanes[lane].start_m <= self.x_m <= self.lanes[lane].end_m
 
 
+def is_slow(speed_mps: float, limit_mps: float) -> bool:
+    """A car at this speed holds others up."""
+    return speed_mps < limit_mps - SLOWER_THAN_LIMIT_MPS
+
+
 def encode_scene(observation: Observation) -> Scene:
     """Enc: the observation's rows as the few quantities that a command can be about."""
-    rows = [tuple(map(float, row)) for row in rows_of(observation)]
+    rows = rows_of(observation).tolist()
     _, x, _, vx, vy, _, length, _, lane = rows[0]
     lanes = observation.lanes
     ego_lane = min(max(int(lane), 0), len(lanes) - 1)
@@ -95,6 +107,7 @@ def encode_scene(observation: Observation) -> Scene:
     lead: Other | None = None
     ahead_m, ttc, oncoming, oncoming_closing = INF, INF, INF, 0.0
     beside: set[int] = set()
+    slow: set[int] = set()
     around: dict[tuple[int, bool], tuple[Neighbour, int]] = {}
     for identity, other_x, _, other_vx, _, _, other_length, _, other_lane in rows[1:]:
         index = min(max(int(other_lane), 0), len(lanes) - 1)
@@ -108,6 +121,8 @@ def encode_scene(observation: Observation) -> Scene:
             if apart < RELEVANT_M and (place not in around or apart < around[place][0].gap_m):
                 closing = vx - other_vx if ahead else other_vx - vx
                 around[place] = Neighbour(*place, apart, closing), int(identity)
+        if other_x > x and gap < CLEAR_OF_SLOW_M and is_slow(other_vx, lanes[index].speed_limit_mps):
+            slow.add(index)
         if not 0.0 < other_x - x < SIGHT_M:
             continue
         if index == ego_lane and gap < ahead_m:
@@ -136,6 +151,7 @@ def encode_scene(observation: Observation) -> Scene:
         free_lanes=tuple(
             i for i, at in enumerate(lanes) if at.start_m <= x <= at.end_m and (i == ego_lane or i not in beside)
         ),
+        slow_lanes=frozenset(slow),
         positions={int(row[0]): row[1] for row in rows[1:]},
         neighbours=tuple(sorted((one for one, identity in around.values() if lead is None or identity != lead.id),
                                 key=lambda one: one.gap_m)[:RELEVANT_N]),

@@ -145,10 +145,9 @@ def test_a_round_behind_a_late_one_counts_from_when_it_was_due() -> None:
     assert [ns // 10_000_000 >= late for ns, late in zip(took, (5, 4, 3), strict=True)] == [True] * 3
 
 
-def stamps(folder: Path, sim: list[tuple[int, ...]], dues: list[tuple[int, int]],
-           fast: list[tuple[int, ...]]) -> latency.Samples:
+def stamps(folder: Path, sim: list[tuple[int, ...]], fast: list[tuple[int, ...]]) -> latency.Samples:
     """What is read from such traces of one second."""
-    for name, rows in (("sim.trace", sim), ("sim.trace.due", dues), ("fast.trace", fast)):
+    for name, rows in (("sim.trace", sim), ("fast.trace", fast)):
         np.array(rows, np.int64).tofile(folder / name)
     samples = latency.Samples()
     latency._read_traces(folder, "none", 0, 1_000_000_000, samples)
@@ -159,8 +158,9 @@ def test_unanswered_and_skipped_ticks_are_found_in_the_stamps(tmp_path: Path) ->
     tick = latency.PERIOD_NS
     samples = stamps(
         tmp_path,
-        [(7, 0, 0, 500_000, tick, -1), (7, 1, tick, -1, 2 * tick, 0), (7, 2, 2 * tick, 600_000, 5 * tick, 0)],
-        [(0, 60_000), (tick, tick + 1), (2 * tick, 2 * tick + 1), (5 * tick, 5 * tick + 1)],
+        [(7, 0, 0, 500_000, 0, 60_000, tick, tick, -1),
+         (7, 1, tick, -1, tick, tick + 1, 2 * tick, 2 * tick, 0),
+         (7, 2, 2 * tick, 600_000, 2 * tick, 2 * tick + 1, 5 * tick, 5 * tick, 0)],
         [(7, 0, 100_000, 110_000, 20_000, 30_000, 40_000, 250_000, 300_000)])
     assert samples.took["ours", "none", "15hz"] == [500.0, tick / 1000.0, 600.0]
     assert samples.skipped["ours", "none", "15hz"] == samples.paced["none"].skipped == 2
@@ -175,14 +175,14 @@ def test_unanswered_and_skipped_ticks_are_found_in_the_stamps(tmp_path: Path) ->
 def test_a_tick_published_more_than_a_period_late_is_a_miss_and_counts_once(
         tmp_path: Path, late_ns: int, took_ns: int, misses: int) -> None:
     tick = latency.PERIOD_NS
-    samples = stamps(tmp_path, [(7, 0, late_ns, took_ns, 3 * tick, -1)], [(0, late_ns + 1), (tick, 3 * tick)], [])
+    samples = stamps(tmp_path, [(7, 0, late_ns, took_ns, 0, late_ns + 1, tick, 3 * tick, -1)], [])
     key = ("ours", "none", "15hz")
     assert figures.row_of(*key, samples.took[key], samples.skipped[key]).misses == misses
     assert samples.paced["none"].late["ours"] == [late_ns / 1000.0]
 
 
 def test_the_blocks_of_a_load_are_pooled(tmp_path: Path) -> None:
-    rows = ([(7, 0, 10, 500_000, latency.PERIOD_NS, -1)], [(0, 20), (2 * latency.PERIOD_NS, 30)],
+    rows = ([(7, 0, 10, 500_000, 0, 20, 2 * latency.PERIOD_NS, latency.PERIOD_NS, -1)],
             [(7, 0, 100_000, 110_000, 20_000, 30_000, 40_000, 250_000, 300_000)])
     samples = stamps(tmp_path, *rows)
     latency._read_traces(tmp_path, "none", 0, 1_000_000_000, samples)
@@ -362,13 +362,15 @@ def test_the_largest_number_of_egos_is_found_between_two_that_were_tried(monkeyp
 
 def test_unanswered_ticks_last_their_period_and_skipped_ones_are_counted(tmp_path: Path) -> None:
     tick = latency.PERIOD_NS
-    stamps = [(7, 0, 0, 500, tick, -1), (7, 1, tick, -1, 2 * tick, 0), (7, 2, 2 * tick, 600, 5 * tick, 0)]
+    stamps = [(7, 0, 0, 500, 0, 1, tick, tick, -1), (7, 1, tick, -1, tick, tick + 1, 2 * tick, 2 * tick, 0),
+              (7, 2, 2 * tick, 600, 2 * tick, 2 * tick + 1, 5 * tick, 5 * tick, 0)]
     np.array(stamps, np.int64).tofile(tmp_path / "0.trace")
     assert scale._round_trips(tmp_path / "0.trace", 0, 10 * tick) == ([500, tick, 600], 2)
 
 
-def test_two_simulators_are_answered_at_every_tick_by_their_own_fast_nodes(tmp_path: Path) -> None:
-    point = scale._pairs(tmp_path, "auto", 1.0, 2)
+@pytest.mark.parametrize("direct", [True, False])
+def test_two_simulators_on_one_bus_are_answered_by_their_own_fast_nodes(tmp_path: Path, direct: bool) -> None:
+    point = scale._pairs(tmp_path, "auto", 1.0, 2, direct=direct)
     assert 28 <= point["n"] <= 32
     assert point["misses"] < point["n"] / 2
 

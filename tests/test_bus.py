@@ -89,6 +89,23 @@ def test_a_router_forwards_between_a_peer_and_a_tcp_client(folder: Path) -> None
             assert sorted(message.id for message in reader.take()) == [1, 2]
 
 
+def test_two_cars_on_one_router_hear_only_what_is_said_in_their_own_namespace(folder: Path) -> None:
+    at = (f"unixsock-stream/{folder}/bus.sock",)
+    seven, eight = (BusConfig(mode="client", connect=at, namespace=f"car-{number}") for number in (7, 8))
+    with (open_bus(BusConfig(mode="router", listen=at)), open_bus(seven) as speaks, open_bus(seven) as same,
+          open_bus(eight) as other):
+        readers = [bus.subscribe(topics.COMMAND) for bus in (same, other)]
+        publish_until(lambda: speaks.publish(topics.COMMAND, command(0)), readers[0].peek)
+        speaks.publish(topics.COMMAND, command(1))
+        time.sleep(0.3)
+        assert [newest and newest.id for newest in (reader.peek() for reader in readers)] == [1, None]
+
+
+def test_a_namespace_that_is_no_key_is_an_error_in_one_line() -> None:
+    with pytest.raises(BusError, match="Invalid Key Expr"), open_bus(BusConfig(namespace="car-*")):
+        pass
+
+
 def test_a_malformed_payload_is_counted_and_skipped(folder: Path) -> None:
     # What an outsider publishes: something else, on the key of directives.
     not_directives: Topic[Command] = Topic(

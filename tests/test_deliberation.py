@@ -10,7 +10,7 @@ import pytest
 from schemas.clock import NS
 from schemas.messages import Command, Directive, Event, Lane, Observation, Reply
 from slow_node.deliberation import Call, Deliberation, Effect, Learn
-from slow_node.directive import Plan, Refusal, plan_of, slow_lanes
+from slow_node.directive import Plan, Refusal, plan_of
 from slow_node.replies import _ORDER, _SENTENCES, sentence
 from slow_node.scene import Scene, encode_scene
 from slow_node.slots import Slots
@@ -56,7 +56,7 @@ class Ride:
     def look(self, ego: int, *cars: Car, after_s: float = 0.1, epoch: int = 1) -> list[Effect]:
         self.now_s += after_s
         observation = seen(self.now_s, ego, *cars, lanes=self.lanes, epoch=epoch)
-        return self._keep(self.deliberation.on_scene(encode_scene(observation), self._now(), slow_lanes(observation)))
+        return self._keep(self.deliberation.on_scene(encode_scene(observation), self._now()))
 
     def hear(self, *, old_s: float = 0.0) -> list[Effect]:
         self.said += 1

@@ -22,6 +22,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from deploy.bench.peers import PeerConfig, Transport, socket_of
 from deploy.processes import Model, Process, RunOptions, free_port, process_table, router_endpoints
@@ -68,6 +70,14 @@ def environment() -> dict[str, str]:
 def dora_command() -> str | None:
     """Where dora-rs-cli is, if anywhere."""
     return shutil.which("dora", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}")
+
+
+def trace_of(path: Path) -> NDArray[np.int64]:
+    """What a node kept of its ticks, (T, 9): see `RoundTrips` and the fast node's loop. Raises `Lost` without it."""
+    try:
+        return np.fromfile(path, np.int64).reshape(-1, 9)
+    except OSError:
+        raise Lost(f"no stamps in {path}: its node did not end in time") from None
 
 
 def rss_mb(pid: int | None) -> float | None:

@@ -7,7 +7,6 @@ import json
 import os
 import platform
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
@@ -35,12 +34,14 @@ from deploy.bench.contenders import (
     loaded,
     rss_mb,
     say,
+    trace_of,
 )
 from deploy.bench.peers import Transport
 from schemas import topics
 from schemas.bus import BusConfig, open_bus
 from schemas.clock import NS
 from schemas.codec import encode
+from schemas.process import revision
 from schemas.realtime import Mode, resolve, trial
 
 PEERS: tuple[Transport, ...] = ("floor", "bus", "bus-default", "zmq", "dora")
@@ -175,7 +176,7 @@ def _paced(options: Options, load: Load, folder: Path, samples: Samples) -> None
     """
     n = round(options.seconds * HZ)
     wanted = tuple(peer for peer in options.peers if (peer, load, "15hz") not in samples.absent)
-    for name in ("sim.trace", "sim.trace.due", "fast.trace"):  # those of the block before
+    for name in ("sim.trace", "fast.trace"):  # those of the block before
         (folder / name).unlink(missing_ok=True)
     found: dict[str, tuple[list[int], ...]] = {}
     with ExitStack() as stack:
@@ -250,19 +251,14 @@ def _read_traces(folder: Path, load: Load, first: int, ends: int, samples: Sampl
 
     Raises `Lost` if there are none.
     """
-    try:
-        sim = np.fromfile(folder / "sim.trace", np.int64).reshape(-1, 6).tolist()
-        dues = np.fromfile(folder / "sim.trace.due", np.int64).reshape(-1, 2).tolist()
-        fast = {(row[0], row[1]): row for row in np.fromfile(folder / "fast.trace", np.int64).reshape(-1, 9).tolist()}
-    except OSError as error:
-        raise Lost(f"no stamps in {error.filename}: its node did not end in time") from None
+    sim = trace_of(folder / "sim.trace").tolist()
+    fast = {(row[0], row[1]): row for row in trace_of(folder / "fast.trace").tolist()}
     published = {(epoch, tick): at for epoch, tick, at, *_ in sim}
     paced = samples.paced.setdefault(load, Paced())
     late = paced.late.setdefault("ours", [])
     took: list[int] = []
     missed = 0
-    for (epoch, tick, sent, answered, next_ns, applied), (due, put), (next_due, _) in zip(
-            sim, dues, dues[1:], strict=False):
+    for epoch, tick, sent, answered, due, put, next_due, next_ns, applied in sim:
         if not first <= due < ends:
             continue
         skipped = max(0, round((next_due - due) / PERIOD_NS) - 1)
@@ -366,21 +362,9 @@ def host(realtime: Mode) -> dict[str, object]:
         except PackageNotFoundError:
             versions[name] = None
     return {
-        "revision": _revision(), "cpu": _cpu(), "cores": os.cpu_count(),
+        "revision": revision(), "cpu": _cpu(), "cores": os.cpu_count(),
         "kernel": f"{platform.system()} {platform.release()}",
         "load_average": [round(x, 2) for x in os.getloadavg()], "realtime": trial(realtime), "versions": versions}
-
-
-def _revision() -> str | None:
-    """The git commit of this source, short; None where it is no checkout."""
-    root = Path(__file__).resolve().parents[2]
-    if not (root / ".git").exists():
-        return None
-    try:
-        return subprocess.run(["git", "-C", str(root), "rev-parse", "--short", "HEAD"], capture_output=True, text=True,
-                              check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return None
 
 
 def _cpu() -> str:

@@ -4,9 +4,11 @@
   step alone in this process, which goes on where the message no longer fits. A crowd stands still around the ego.
 * egos: what one process needs to compute the answers to so many at once: decode, step and encode each, one inference
   for all. In this process, without a bus and at normal priority: the deployed fast node serves one ego.
-* simulators: real simulators at 15 Hz, each with a real fast node, side by side on one machine. They share no bus:
-  every pair has links of its own and no router, since the topics know one ego. They start when they are ready, so their
-  phases are what they happen to be. As a plain user the pairs are spread over the cores, both nodes of one on one core.
+* simulators: real simulators at 15 Hz, each with a real fast node, on one bus: all are linked to one router, each
+  pair in a namespace of its own and with a direct link between its nodes, as deployed. They start when they are ready,
+  so their phases are what they happen to be. As a plain user the pairs are spread over the cores, both nodes of one on
+  one core.
+* routed: the same without the direct links, so that every tick passes the router, a thread at normal priority.
 * message_bytes: bare round trips over the low-latency link, far beyond what our topics allow.
 
 Beside the curves: the simulator's own tick among 50 vehicles, in this process, without a bus and at normal priority.
@@ -30,14 +32,15 @@ import msgspec
 import numpy as np
 
 from deploy.bench import figures
-from deploy.bench.contenders import START_S, Child, Deployment, Lost, Peers, children, say
+from deploy.bench.contenders import START_S, Child, Deployment, Lost, Peers, children, say, trace_of
 from deploy.bench.latency import PERIOD_NS, host
 from schemas import topics
+from schemas.bus import BusConfig, open_bus
 from schemas.codec import Fault, decode, encode, rows_of
 from schemas.messages import Action, MetaAction, Observation
-from schemas.realtime import Mode, resolve, trial
+from schemas.realtime import Mode, resolve
 
-SCHEMA = "fastslow.scale/2"
+SCHEMA = "fastslow.scale/3"
 VEHICLES = (5, 10, 20, 40, 60, 80, 100, 150, 200)
 EGOS = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512)
 PAIRS = (1, 2, 4, 8, 16, 32, 48, 64)
@@ -46,7 +49,8 @@ PARTS = ("decode", "mask", "features", "policy", "rest of the step", "encode and
 TITLES = {
     "vehicles": "vehicles observed by the deployed fast node",
     "egos": "egos, batched compute in one process: no bus, normal priority",
-    "simulators": "pairs of simulator and fast node at 15 Hz, side by side, each with its own links: no shared bus",
+    "simulators": "pairs of simulator and fast node at 15 Hz on one bus: one router, a direct link in each pair",
+    "routed": "the same without the direct links: every tick passes the router",
     "message_bytes": "message size over the bare low-latency link",
 }
 TICK_CARS = 2.5
@@ -104,7 +108,7 @@ def vehicles(folder: Path, realtime: Mode, rounds: int, seen: Observation) -> li
             if reply is None:
                 raise Lost(peers.lost["ours"])
             points.append(_point(n, reply[0], **about))
-    stamps = np.fromfile(folder / "fast.trace", np.int64).reshape(-1, 9)
+    stamps = trace_of(folder / "fast.trace")
     for point in points:
         rows = stamps[stamps[:, 0] == point["x"]]
         if len(rows):
@@ -192,12 +196,12 @@ def _egos(seen: Observation, n: int, rounds: int) -> Point:
     return _point(n, took[5:])
 
 
-def simulators(folder: Path, realtime: Mode, seconds: float) -> list[Point]:
-    """By pairs of simulator and fast node on this machine, up to the first number that breaks."""
+def simulators(folder: Path, realtime: Mode, seconds: float, *, direct: bool) -> list[Point]:
+    """By pairs of simulator and fast node on one bus, up to the first number that breaks. `direct`: linked in pairs."""
     points: list[Point] = []
     for pairs in PAIRS:
         try:
-            points.append(_pairs(folder, realtime, seconds, pairs))
+            points.append(_pairs(folder, realtime, seconds, pairs, direct=direct))
         except Lost as lost:
             points.append({"x": pairs, "breaks": str(lost)})
         if broken(points[-1]):
@@ -205,22 +209,23 @@ def simulators(folder: Path, realtime: Mode, seconds: float) -> list[Point]:
     return points
 
 
-def _pairs(folder: Path, realtime: Mode, seconds: float, pairs: int) -> Point:
+def _pairs(folder: Path, realtime: Mode, seconds: float, pairs: int, *, direct: bool) -> Point:
     took: list[int] = []
     skipped = 0
     with tempfile.TemporaryDirectory(prefix="fastslow-") as sockets:
-        with children() as start:
-            def node(module: str, i: int, other: str | None, **config: object) -> Child:
-                at = f"unixsock-stream/{sockets}/{module}-{i}.sock"
-                bus = {"listen": [at], "connect": [f"unixsock-stream/{sockets}/{other}-{i}.sock"] if other else [],
-                       "low_latency": True}
+        router = f"unixsock-stream/{sockets}/router.sock"
+        with children() as start, open_bus(BusConfig(mode="router", listen=(router,))):
+            def node(module: str, i: int, *, listens: bool = False, **config: object) -> Child:
+                link = [f"unixsock-stream/{sockets}/{i}.sock"] if direct else []
+                bus = {"mode": "peer" if direct else "client", "listen": link if listens else [],
+                       "connect": [router, *([] if listens else link)], "namespace": f"car-{i}", "low_latency": True}
                 with _room(realtime, i):
                     return start(f"{module} {i}", folder / f"{module}-{i}.log", sys.executable, "-m", module,
                                  json.dumps({"bus": bus, "realtime": realtime, **config}))
 
-            nodes = [node("fast_node", i, None) for i in range(pairs)]
+            nodes = [node("fast_node", i, listens=True) for i in range(pairs)]
             _ready(nodes)
-            nodes += [node("sim_node", i, "fast_node", seed=i, trace=f"{sockets}/{i}.trace") for i in range(pairs)]
+            nodes += [node("sim_node", i, seed=i, trace=f"{sockets}/{i}.trace") for i in range(pairs)]
             _ready(nodes)
             time.sleep(SETTLE_S)
             idle_s, first = _idle_s(), time.monotonic_ns()
@@ -267,13 +272,10 @@ def _ready(nodes: Sequence[Child]) -> None:
 
 def _round_trips(trace: Path, first: int, ends: int) -> tuple[list[int], int]:
     """Round trips [ns] of the ticks published within first..ends, a whole period if unanswered, and skipped ticks."""
-    try:
-        sent, answered, after = np.fromfile(trace, np.int64).reshape(-1, 6).T[2:5]
-    except OSError:
-        raise Lost("a simulator did not end in time, its stamps are missing") from None
+    sent, answered, due, _, next_due, after = trace_of(trace).T[2:8]
     within = (first <= sent) & (sent < ends)
     took = np.where(answered >= 0, answered, np.maximum(PERIOD_NS, after - sent))[within]
-    skipped = np.rint((after - sent)[within] / PERIOD_NS).astype(int) - 1
+    skipped = np.rint((next_due - due)[within] / PERIOD_NS).astype(int) - 1
     return took.tolist(), int(skipped.clip(0).sum())
 
 
@@ -359,12 +361,13 @@ def run(realtime: Mode, rounds: int, seconds: float, out: Path | None) -> tuple[
     """Measure, save and return the curves and where they are. Raises `ConfigError` or `Lost` if nothing starts."""
     folder = out or Path("runs") / f"scale-{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{os.getpid()}"
     folder.mkdir(parents=True, exist_ok=True)
-    machine = {**host(realtime), "scheduling": trial(realtime)}
+    machine = host(realtime)
     seen = observed(folder, realtime)
     parts: dict[str, Callable[[], list[Point]]] = {
         "vehicles": lambda: vehicles(folder, realtime, rounds, seen),
         "egos": lambda: egos(seen, rounds),
-        "simulators": lambda: simulators(folder, realtime, seconds),
+        "simulators": lambda: simulators(folder, realtime, seconds, direct=True),
+        "routed": lambda: simulators(folder, realtime, seconds, direct=False),
         "message_bytes": lambda: sizes(folder, realtime, rounds),
     }
     curves: dict[str, list[Point]] = {}
@@ -388,7 +391,7 @@ def run(realtime: Mode, rounds: int, seconds: float, out: Path | None) -> tuple[
 def lines(result: dict[str, Any]) -> Iterator[str]:
     """The result for people."""
     machine, tick = result["host"], result["simulator_tick"]
-    yield (f"{machine['cpu']}, {machine['cores']} cores, {machine['kernel']}, scheduling: {machine['scheduling']}, "
+    yield (f"{machine['cpu']}, {machine['cores']} cores, {machine['kernel']}, scheduling: {machine['realtime']}, "
            f"load average {machine['load_average'][0]:g} at the start")
     for name, curve in result["curves"].items():
         yield curve["what"]

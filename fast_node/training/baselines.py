@@ -27,9 +27,10 @@ from stable_baselines3.common.vec_env import VecEnv
 from fast_node.mask import VERSION as MASK_VERSION
 from fast_node.mlp import WISH, MlpPolicy, load_mlp
 from fast_node.training.rollout import Mixed
-from fast_node.training.train import Logits, conditions, random_inputs, revision
+from fast_node.training.train import Logits, conditions, random_inputs
 from schemas.features import BOUND, FEATURES, LAYOUT_HASH, N_ROWS, Array
 from schemas.messages import POLICY_ACTIONS, MetaAction
+from schemas.process import revision
 
 COMMON = {"gamma": 0.99, "learning_rate": 5e-4}
 CONFIG: dict[str, dict[str, Any]] = {

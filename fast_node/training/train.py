@@ -31,7 +31,6 @@ import csv
 import importlib.util
 import json
 import os
-import subprocess
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -56,7 +55,7 @@ from fast_node.training.network import ActorCritic
 from fast_node.training.rollout import Mixed
 from schemas import reward as rewards
 from schemas.features import FEATURES, LAYOUT_HASH, N_ROWS, Array
-from schemas.process import ConfigError
+from schemas.process import ConfigError, revision
 
 WIDTH, HEADS, LAYERS = 128, 2, 1
 ROLLOUT = 16
@@ -211,17 +210,6 @@ def random_inputs(observations: int) -> Array:
     x[:, :, 0] = np.random.default_rng(1).random((observations, N_ROWS)) < 0.7
     x[:, 0, 0] = 1.0
     return x
-
-
-def revision() -> str | None:
-    """The source's git commit, with -dirty when it was changed; None where there is no git to ask."""
-    try:
-        asked = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--exclude", "*"], cwd=Path(__file__).parent,
-            capture_output=True, text=True, timeout=5, check=True)
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return asked.stdout.strip()
 
 
 def saved_state(out: Path) -> dict[str, Any]:
