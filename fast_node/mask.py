@@ -4,10 +4,10 @@ It reads the state and never the directive. `close_actions` is plain arithmetic 
 on lists, and training compiles the same source with numba on arrays, so that there is one mask.
 
 The claims behind each rule are RSS distances (`schemas.measures`) with one of the named `PRESETS`: what the ego and the
-others are taken to do. They hold for traffic that does so, not for a real road. Only distances along the road are RSS.
-Sideways there is no RSS distance (its Definition 6): two cars are in each other's way where they overlap, are less than
-`SIDE_M` from it or will be there within `MEET_S`, and a car that moves sideways is also taken to be where it will be
-after `CUT_IN_S`. A follower is taken to see an ego that brakes with `ego_brake`, which an emergency brake exceeds.
+others are taken to do. They hold for traffic that does so, not for a real road. As in RSS, a car is in the ego's way
+where it is too close both along the road and sideways; beyond it, one that moves sideways is also taken to be in the lane
+where it will be after `CUT_IN_S`. A follower is taken to see an ego that brakes with `ego_brake`, which an emergency
+brake exceeds.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from schemas.measures import CAR_LENGTH_M, gap_m, rss_opposite_m, rss_same_direction_m
+from schemas.measures import CAR_LENGTH_M, gap_m, rss_lateral_m, rss_opposite_m, rss_same_direction_m
 from schemas.messages import Lane, MetaAction
 from schemas.wish import BEHIND_M
 
-VERSION = "mask/5"
+VERSION = "mask/6"
 """Of what `close_actions` and `choice` compute; tests/test_mask.py holds the code against it. A policy learns behind
 one version and drives behind no other."""
 
@@ -53,13 +53,19 @@ class Preset(NamedTuple):
     """What a car behind is sure to manage."""
     courtesy_brake: float
     """What a follower is spared where the change can wait: MOBIL's b_safe, for IDM drivers."""
+    side_accel: float
+    """The most that a car accelerates sideways within its response time."""
+    side_brake: float
+    """What a car is sure to brake its motion sideways with."""
+    sway_m: float
+    """Room that cars beside each other take up without moving sideways: RSS's mu."""
 
 
 PRESETS = {
     # Our executor answers within one tick and brakes at 6; simulated cars brake at 6 at most.
-    "sim": Preset(2.0 / 15.0, 5.0, 6.0, 2.5, 0.7, 0.3, 4.5, 0.8, 6.0, 1.9),
+    "sim": Preset(2.0 / 15.0, 5.0, 6.0, 2.5, 0.7, 0.3, 4.5, 0.8, 6.0, 1.9, 0.2, 2.0, 0.3),
     # For traffic that brakes harder and reacts later than ours.
-    "cautious": Preset(0.3, 4.5, 7.0, 3.0, 1.0, 0.4, 4.0, 1.0, 5.0, 1.5),
+    "cautious": Preset(0.3, 4.5, 7.0, 3.0, 1.0, 0.4, 4.0, 1.0, 5.0, 1.5, 0.3, 1.5, 0.4),
 }
 FOLLOW_GAIN = 0.5
 FOLLOWER_BLIND_S = 1.0
@@ -71,12 +77,8 @@ CUT_IN_S = 2.0
 """A car moving sideways at least this fast counts as being where it will be after this time, too."""
 COMES_OUT_M = 150.0
 """This near to the end of its lane a car may come out of it at any time."""
-MEET_S = 0.8
-"""Cars that will overlap laterally within this time count as if they did."""
 ASKEW = 0.1
 """Sine of the heading from which on a car may take up room in the next lane."""
-SIDE_M = 0.3
-"""Cars closer than this to overlapping laterally count as in each other's way."""
 PASS_ACCEL = 0.7
 PASS_FASTER_MPS = 3.0
 PASS_FASTER_MAX_MPS = 8.0
@@ -334,9 +336,10 @@ def close_actions(
         row = rows[i]
         if row[0] < 0 or row[1] < x or row[3] < -0.1:
             continue
-        aside = abs(row[2] - y) - half_width(row) - half_width(ego) - SIDE_M
-        meeting = (ego[4] - row[4]) * (1.0 if row[2] > y else -1.0)  # how fast they come together sideways
-        overlap = aside < 0.0 or aside < MEET_S * meeting
+        aside = abs(row[2] - y) - half_width(row) - half_width(ego)
+        towards = 1.0 if row[2] > y else -1.0
+        overlap = aside < rss_lateral_m(
+            towards * ego[4], -towards * row[4], p.reaction_s, p.side_accel, p.side_brake, p.sway_m)
         in_lane = int(row[8]) == target_lane
         if not in_lane and row[4] * (lane_y - row[2]) > 0.0 and abs(row[4]) > CUT_IN_MPS:
             in_lane = abs(row[2] + CUT_IN_S * row[4] - lane_y) < 0.5 * (row[7] + ego[7])
@@ -349,7 +352,7 @@ def close_actions(
                 v, lead_v, p.reaction_s, 0.0, p.ego_brake + 1.0, p.lead_brake):
             # While the two are still apart sideways the change may be given up; leaving a lane may go on, but not back
             # behind who is too close there.
-            apart = aside > 0.0 and previous_lane >= 0 and int(ego[8]) == previous_lane
+            apart = aside > p.sway_m and previous_lane >= 0 and int(ego[8]) == previous_lane
             for a in range(5):
                 if rule[a] == OPEN and a != SLOW_DOWN and not (
                         a >= LEFT and (leaving or apart) and not (leaving and a == back)):

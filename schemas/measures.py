@@ -64,6 +64,27 @@ def rss_opposite_m(
     )
 
 
+def rss_lateral_m(
+    toward_mps: float, other_toward_mps: float, reaction_s: float, accel: float, brake: float, sway: float
+) -> float:
+    """Smallest lateral distance, side to side, from which two cars beside each other can both stay apart.
+
+    RSS safe lateral distance (Shalev-Shwartz et al. 2017, Definition 6): for the response time each accelerates with
+    `accel` towards the other, then brakes sideways with `brake` until it moves sideways no more; `sway` is the margin mu
+    for what is no motion. Speeds are those towards the other car. One that is still moving away after its response
+    time comes no nearer by braking: its term has the sign of that speed.
+    """
+    speed = toward_mps + reaction_s * accel
+    other = other_toward_mps + reaction_s * accel
+    distance = (
+        0.5 * (toward_mps + speed) * reaction_s
+        + 0.5 * speed * abs(speed) / brake
+        + 0.5 * (other_toward_mps + other) * reaction_s
+        + 0.5 * other * abs(other) / brake
+    )
+    return sway + max(distance, 0.0)
+
+
 # What the ego's executor can do: the mask's claims rest on these, and the executor keeps them.
 EGO_ACCEL_MAX_MPS2 = 3.0
 EGO_BRAKE_MAX_MPS2 = 6.0

@@ -326,6 +326,38 @@ def test_a_change_that_can_go_on_is_not_given_up():
     assert MetaAction.RIGHT in narrowed([car(0, 500, 1, 20)], 20.0, -1, lane=1, previous=2)
 
 
+def test_the_lateral_distance_is_that_of_two_cars_that_react_and_then_brake():
+    # 0.2 s from 1.0 to 1.1 m/s: 0.21 m, then 1.1^2 / 4 m; the other from 0 to 0.1 m/s: 0.01 m, then 0.1^2 / 4 m.
+    assert measures.rss_lateral_m(1.0, 0.0, 0.2, 0.5, 2.0, 0.3) == pytest.approx(0.3 + 0.21 + 0.3025 + 0.01 + 0.0025)
+
+
+def test_cars_that_move_apart_need_only_the_room_to_sway():
+    assert measures.rss_lateral_m(-1.0, 0.5, 0.2, 0.0, 2.0, 0.3) == 0.3
+
+
+@pytest.mark.parametrize(("drift", "in_the_way"), [(0.25, True), (0.0, False), (-0.25, False)])
+def test_a_car_ahead_in_the_next_lane_is_in_the_way_where_it_drifts_towards_the_ego(drift: float, in_the_way: bool):
+    rows = [car(0, 500, 2, 20), car(4, 508, 1, 20, y=5.65)]
+    rows[1][4] = drift
+    assert (closed_on(HIGHWAY, rows, 2).get(MetaAction.CRUISE) == "lead too close") == in_the_way
+
+
+@given(presets, st.floats(3.0, 33.0), st.integers(1, 40))
+def test_the_ego_brakes_sideways_as_the_mask_takes_it_to(preset, speed, ticks):
+    p = PRESETS[preset]
+    ego = Ego(500.0, 8.0, speed, 0.0, 0.0, speed, 2, -1)
+    for k in range(ticks):
+        ego = ego.moved(int(MetaAction.LEFT if k == 0 else MetaAction.CRUISE), HIGHWAY, 40.0)
+    assume(ego.previous == 2)
+    start, towards = ego.y, -ego.row(HIGHWAY)[4]
+    ego = ego.moved(int(MetaAction.RIGHT), HIGHWAY, 40.0)
+    nearest = ego.y
+    for _ in range(45):
+        ego = ego.moved(int(MetaAction.CRUISE), HIGHWAY, 40.0)
+        nearest = min(nearest, ego.y)
+    assert start - nearest <= measures.rss_lateral_m(towards, 0.0, p.reaction_s, p.side_accel, p.side_brake, 0.0)
+
+
 def test_a_car_that_stands_askew_is_as_wide_as_it_is():
     rows = [car(0, 500, 1, 10), car(1, 515, 2, 0, y=7.0)]
     assert MetaAction.CRUISE not in closed_on(RAMP, rows, 1)
@@ -368,7 +400,7 @@ def code_of(*modules: Any) -> str:
     return digest.hexdigest()[:16]
 
 
-CODE_OF = {"mask/5": "f38d91e36d94281b"}
+CODE_OF = {"mask/6": "09263d7719bf80f8"}
 """What the mask of a version computes. A policy learns behind one mask and is driven behind no other."""
 
 

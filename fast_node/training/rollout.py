@@ -45,7 +45,7 @@ def _copy_of(module: Any) -> Any:
 def _compiled_mask() -> Any:
     """`close_actions` compiled from the very source that drives."""
     copy = _copy_of(mask)
-    for name in ("gap_m", "rss_same_direction_m", "rss_opposite_m"):
+    for name in ("gap_m", "rss_same_direction_m", "rss_opposite_m", "rss_lateral_m"):
         setattr(copy, name, numba.njit(getattr(measures, name)))
     for name in ("allowed_speed", "follower_gap", "pass_time_s", "half_width", "survey", "entry", "ahead_of",
                  "passing"):
