@@ -5,9 +5,9 @@ on lists, and training compiles the same source with numba on arrays, so that th
 
 The claims behind each rule are RSS distances (`schemas.measures`) with one of the named `PRESETS`: what the ego and the
 others are taken to do. They hold for traffic that does so, not for a real road. As in RSS, a car is in the ego's way
-where it is too close both along the road and sideways; beyond it, one that moves sideways is also taken to be in the lane
-where it will be after `CUT_IN_S`. A follower is taken to see an ego that brakes with `ego_brake`, which an emergency
-brake exceeds.
+where it is too close both along the road and sideways; beyond RSS, one that moves sideways is also taken to be in the
+lane where it will be after `CUT_IN_S`. A follower is taken to see an ego that brakes with `ego_brake`, which an
+emergency brake exceeds.
 """
 
 from __future__ import annotations

@@ -70,8 +70,8 @@ def rss_lateral_m(
     """Smallest lateral distance, side to side, from which two cars beside each other can both stay apart.
 
     RSS safe lateral distance (Shalev-Shwartz et al. 2017, Definition 6): for the response time each accelerates with
-    `accel` towards the other, then brakes sideways with `brake` until it moves sideways no more; `sway` is the margin mu
-    for what is no motion. Speeds are those towards the other car. One that is still moving away after its response
+    `accel` towards the other, then brakes sideways with `brake` until it moves sideways no more; `sway` is the margin
+    mu for what is no motion. Speeds are those towards the other car. One that is still moving away after its response
     time comes no nearer by braking: its term has the sign of that speed.
     """
     speed = toward_mps + reaction_s * accel
