@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, cast
 
@@ -221,7 +222,9 @@ def study(
 
 
 @app.command(epilog="Examples:\n\n  fastslow evaluate\n\n  fastslow evaluate --all --episodes 300 --json\n\n"
-                    "  fastslow evaluate --agent rule --agent idm --scenario merge\n\n" + _EXITS)
+                    "  fastslow evaluate --agent rule --agent idm --scenario merge\n\n"
+                    "  fastslow evaluate --scenario highway --wish 23 --wish 25 --wish 28 --plot tradeoff.png\n\n"
+                    + _EXITS)
 def evaluate(
     agent: Annotated[list[str] | None, typer.Option(
         help="Who drives; may be repeated: see the table it prints. dilu-paused and dilu-running ask a language model "
@@ -236,21 +239,34 @@ def evaluate(
     first_seed: Annotated[int, typer.Option(min=0, help="Of the first episode; the others follow.")] = 1000,
     directive: Annotated[str, typer.Option(
         help="Asked for: full speed in any lane (hurry), in a drawn lane (lane), or any wish (random).")] = "hurry",
-    wish: Annotated[float | None, typer.Option(
-        min=0.0, metavar="MPS", help="Wish for this speed instead.", show_default="as the directive has it")] = None,
+    wish: Annotated[list[float] | None, typer.Option(
+        min=0.0, metavar="MPS", help="Wish for this speed instead; may be repeated, to drive with each.",
+        show_default="as the directive has it")] = None,
+    plot: Annotated[Path | None, typer.Option(
+        metavar="FILE.png", dir_okay=False, writable=True,
+        help="Draw speed against comfort, a point per wish (two or more).")] = None,
     as_json: Json = False,
 ) -> None:
     """Drive episodes on seeds that training never saw, and print what came of it with 95 % intervals."""
+    if plot is not None and len(set(wish or ())) < 2:
+        raise typer.BadParameter("needs two or more wishes: --wish 20 --wish 25", param_hint="'--plot'")
+    if plot is not None and not plot.parent.is_dir():
+        raise typer.BadParameter(f"no folder {plot.parent}: make it first", param_hint="'--plot'")
     with _readable_ends():
+        if plot is not None:
+            import_module("matplotlib")  # a missing one is told before minutes of driving, not after
         from deploy.evaluate import AGENTS, Directive, evaluate_all, table
+        from deploy.evaluate import plot as draw
         from sim_node.scenarios import SCENARIOS
 
         result = evaluate_all(
             list(AGENTS) if everything else agent or None,
             list(SCENARIOS) if everything else scenario or ["highway", "merge", "two-way"],
-            episodes, first_seed=first_seed, checkpoint=checkpoint, directive=cast(Directive, directive), wish_mps=wish,
-            progress=lambda text: typer.echo(text, err=True))
-    typer.echo(json.dumps(result) if as_json else table(result))
+            episodes, first_seed=first_seed, checkpoint=checkpoint, directive=cast(Directive, directive),
+            wishes_mps=wish or [None], progress=lambda text: typer.echo(text, err=True))
+        typer.echo(json.dumps(result) if as_json else table(result))
+        if plot is not None:
+            draw(result["rows"], plot)
 
 
 @app.command(epilog="Examples:\n\n  fastslow interpret --input commands.jsonl --output directives.jsonl\n\n"

@@ -33,6 +33,9 @@ Directive = Literal["hurry", "lane", "random"]
 """What the passenger asks for: full speed in any lane (on two-way: to overtake, one car after the other), full speed in
 a lane drawn for the seed, or any lane and any speed drawn for the seed."""
 DIRECTIVES: tuple[Directive, ...] = get_args(Directive)
+PAPER: dict[str, tuple[float, float, float]] = {
+    "highway": (25.46, 0.38, 8.65), "merge": (14.51, 0.32, 18.9), "two-way": (6.80, 0.19, 4.54)}
+"""What the paper reports of its own driver: average speed [m/s], acceleration variance [(m/s2)2], min TTC, mean [s]."""
 Logits = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 Step = Callable[[int], NDArray[np.bool_]]
 """Advances a fleet at a tick, counted from 0, and says in which scenes the mask decided against the driver."""
@@ -237,13 +240,13 @@ def overtake_on(fleet: Fleet) -> None:
 
 
 def _drive_language(
-    agent: str, scenario: Scenario, seeds: Sequence[int], directive: Directive
+    agent: str, scenario: Scenario, seeds: Sequence[int], directive: Directive, wish_mps: float | None
 ) -> tuple[list[EpisodeResult], dict[str, Any]]:
     """The episodes of a driver of `LANGUAGE`, and what its model did."""
     from deploy.dilu import drive_dilu, memory, running_model
 
-    if directive != "hurry":
-        raise ValueError(f"{agent} knows no directive but hurry")
+    if directive != "hurry" or wish_mps is not None:
+        raise ValueError(f"{agent} knows no directive but hurry, and no other speed to wish for")
     with running_model() as ask:
         results, figures = drive_dilu(scenario, seeds, paused=agent == "dilu-paused", ask=ask, bank=memory())
     return results, figures.summary()
@@ -251,10 +254,11 @@ def _drive_language(
 
 def evaluate_all(
     agents: Sequence[str] | None, scenarios: Sequence[str], episodes: int, *, first_seed: int = FIRST_SEED,
-    checkpoint: Path | None = None, directive: Directive = "hurry", wish_mps: float | None = None,
+    checkpoint: Path | None = None, directive: Directive = "hurry", wishes_mps: Sequence[float | None] = (None,),
     progress: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """A row per agent and scenario, over the seeds from `first_seed`; per scenario the seeds that nobody survived.
+    """A row per scenario, agent and wished speed [m/s] (None: as the directive has it), over the seeds from
+    `first_seed`; per scenario the seeds that nobody survived. The result's own `wish_mps` is None for several wishes.
 
     Without agents the one whose policy is in `checkpoint`, or ours. Raises `ConfigError` for a checkpoint that none of
     the agents uses, and as `drive` does.
@@ -269,21 +273,23 @@ def evaluate_all(
         if name not in SCENARIOS:
             raise ValueError(f"scenario {name!r} is not one of: {', '.join(SCENARIOS)}")
         died = set(range(episodes))
-        for agent in agents:
-            progress(f"{agent} on {name}")
+        for agent, wish_mps in itertools.product(agents, wishes_mps):
+            progress(f"{agent} on {name}" + ("" if wish_mps is None else f", {wish_mps:g} m/s wished"))
             more: dict[str, Any] = {}
             if agent in LANGUAGE:
-                results, more["llm"] = _drive_language(agent, SCENARIOS[name], seeds, directive)
+                results, more["llm"] = _drive_language(agent, SCENARIOS[name], seeds, directive, wish_mps)
             else:
                 results = drive(agent, SCENARIOS[name], seeds, checkpoint=checkpoint, directive=directive,
                                 wish_mps=wish_mps)
             died &= {i for i, r in enumerate(results) if r.collided}
             good = sum(r.success for r in results)
             rows.append({
-                "agent": agent, "scenario": name, "speed_set": SCENARIOS[name].speed_set, "first_seed": first_seed,
-                "success_ci95": wilson95(good, episodes), **_numbers(summarise(results)), **more})
+                "agent": agent, "scenario": name, "speed_set": SCENARIOS[name].speed_set, "wish_mps": wish_mps,
+                "first_seed": first_seed, "success_ci95": wilson95(good, episodes), **_numbers(summarise(results)),
+                **more})
         unsurvived[name] = sorted(first_seed + i for i in died)
-    return {"schema": SCHEMA, "directive": directive, "wish_mps": wish_mps, "rows": rows, "unsurvived": unsurvived}
+    return {"schema": SCHEMA, "directive": directive, "wish_mps": wishes_mps[0] if len(wishes_mps) == 1 else None,
+            "rows": rows, "unsurvived": unsurvived}
 
 
 def _percent(share: float | None) -> str:
@@ -297,16 +303,54 @@ def _numbers(figures: dict[str, float]) -> dict[str, float | None]:
 
 def table(result: dict[str, Any]) -> str:
     """The rows as plain text, one line each."""
-    lines = [f"{'scenario':<16}{'agent':<14}{'success':>22}{'own':>5}{'hit':>5}{'speed':>7}{'a var':>7}{'min TTC':>9}"
-             f"{'lane ok':>9}{'feasible':>9}{'of these':>9}{'speed ok':>9}{'masked':>8}"]
+    lines = [f"{'scenario':<16}{'agent':<14}{'wish':>6}{'success':>22}{'own':>5}{'hit':>5}{'speed':>7}{'a var':>7}"
+             f"{'min TTC':>9}{'lane ok':>9}{'feasible':>9}{'of these':>9}{'speed ok':>9}{'masked':>8}"]
     for r in result["rows"]:
         low, high = r["success_ci95"]
         good = f"{100 * r['success']:.1f} % ({100 * low:.0f}-{100 * high:.0f})"
+        wish = "-" if r["wish_mps"] is None else f"{r['wish_mps']:g}"
         lines.append(
-            f"{r['scenario']:<16}{r['agent']:<14}{good:>22}{r['ego_fault_collisions']:>5}{r['struck_collisions']:>5}"
+            f"{r['scenario']:<16}{r['agent']:<14}{wish:>6}{good:>22}"
+            f"{r['ego_fault_collisions']:>5}{r['struck_collisions']:>5}"
             f"{r['avg_speed']:>7.2f}{r['accel_var']:>7.2f}{r['min_ttc_mean']:>9.2f}{100 * r['lane_compliance']:>8.1f}%"
             f"{_percent(r['lane_feasible']):>9}{_percent(r['lane_compliance_feasible']):>9}"
             f"{_percent(r['speed_compliance']):>9}{100 * r['override_share']:>7.1f}%")
     lines += [f"{name}: nobody survived {', '.join(map(str, seeds))}" for name, seeds in result["unsurvived"].items()
               if seeds and len(result["rows"]) > 1]
     return "\n".join(lines)
+
+
+def plot(rows: Sequence[dict[str, Any]], path: Path) -> None:
+    """Speed against comfort, as a PNG: a panel per scenario, a colour per agent, a point per wish. Solid, left:
+    acceleration variance; dashed and hollow, right: mean of the smallest TTC; stars: the paper's own driver."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    names, agents = (list(dict.fromkeys(r[key] for r in rows)) for key in ("scenario", "agent"))
+    figure, axes = plt.subplots(1, len(names), figsize=(5.5 * len(names), 4.5), squeeze=False, layout="constrained")
+    legend = {}
+    for axis, name in zip(axes[0], names, strict=True):
+        right = axis.twinx()
+        for k, agent in enumerate(agents):
+            points = sorted((r["wish_mps"], r["avg_speed"], r["accel_var"], r["min_ttc_mean"]) for r in rows
+                            if (r["scenario"], r["agent"]) == (name, agent))
+            _, speed, variance, ttc = zip(*points, strict=True)
+            legend[agent], = axis.plot(speed, variance, f"C{k}o-")
+            right.plot(speed, ttc, f"C{k}o--", markerfacecolor="none")
+            for wish, x, y, _ in points:
+                axis.annotate(f"{wish:g}", (x, y), (0, 6), textcoords="offset points", ha="center", fontsize="small")
+        if name in PAPER:
+            x, y, seconds = PAPER[name]
+            legend["the paper's"], = axis.plot(x, y, "k*", markersize=12)
+            right.plot(x, seconds, "k*", markersize=12, markerfacecolor="none")
+        axis.set(title=name, xlabel="average speed [m/s]", ylabel="acceleration variance [(m/s2)2], solid")
+        right.set_ylabel("smallest TTC, mean [s], dashed, hollow")
+        for side in (axis, right):
+            side.margins(y=0.1)
+            side.set_ylim(bottom=0)
+        axis.grid(alpha=0.3)
+    figure.legend(legend.values(), legend.keys(), loc="outside upper center", ncols=len(legend), fontsize="small")
+    figure.savefig(path, dpi=120, format="png")
+    plt.close(figure)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -121,6 +122,36 @@ def test_the_json_has_the_documented_rows_from_the_seed_it_was_asked_for() -> No
         "min_ttc_median", "lane_compliance", "lane_feasible", "lane_compliance_feasible", "speed_compliance",
         "override_share"}
     assert printed["rows"][0]["first_seed"] == 7
+
+
+def test_a_repeated_wish_gives_every_agent_one_row_each_that_names_it() -> None:
+    asked = ["evaluate", "--scenario", "merge", "--agent", "rule", "--agent", "idm", "--wish", "10", "--wish", "15"]
+    rows = json.loads(CliRunner().invoke(app, [*asked, "--episodes", "1", "--json"]).stdout)["rows"]
+    assert [(r["agent"], r["wish_mps"]) for r in rows] == [("rule", 10), ("rule", 15), ("idm", 10), ("idm", 15)]
+
+
+@pytest.mark.parametrize("wishes", [[], ["--wish", "15"], ["--wish", "15", "--wish", "15"]])
+def test_a_picture_of_fewer_than_two_wishes_is_a_usage_error_that_names_the_fix(wishes: list[str]) -> None:
+    result = CliRunner().invoke(app, ["evaluate", *wishes, "--plot", "never.png"])
+    assert (result.exit_code, "--wish 20 --wish 25" in result.stderr) == (2, True)
+
+
+def test_a_picture_without_matplotlib_is_refused_with_the_fix_before_any_driving(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setattr(evaluate, "evaluate_all", None)  # it may not be asked for
+    asked = ["evaluate", "--wish", "10", "--wish", "15", "--plot", str(tmp_path / "never.png")]
+    result = CliRunner().invoke(app, asked)
+    assert (result.exit_code, result.stderr) == (
+        78, "fastslow: matplotlib is missing: pip install 'fastslow[train]'\n")
+
+
+def test_speed_against_comfort_is_drawn(tmp_path: Path) -> None:
+    rows = [{"agent": agent, "scenario": road, "wish_mps": wish, "avg_speed": wish - 1.0, "accel_var": 0.1,
+             "min_ttc_mean": 9.0} for agent in ("ours", "rule") for road in ("merge", "roadworks") for wish in (14, 15)]
+    evaluate.plot(rows, tmp_path / "tradeoff.png")
+    assert (tmp_path / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
 
 
 def copied(agent: Path, folder: Path, **sidecar: str) -> Path:
