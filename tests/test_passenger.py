@@ -2,22 +2,50 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from scripted import ScriptedModel
 
 from deploy.bench.passenger import COMMANDS, NODES, lines, measure
 from schemas.messages import Directive, Reply
 from slow_node.embedding import load_embedder
 from slow_node.reader import Reader
 
+ANSWERS: tuple[dict[str, object], ...] = (
+    {"overtake": True}, {"speed": "slower"}, {"outcome": "refused"}, {"lane": "rightmost"}, {"outcome": "out_of_scope"},
+    {"target_speed_mps": 25.0, "language": "de"}, {"gap": "farther"}, {"outcome": "unclear"}, {"speed": "faster"},
+    {"cancel": True})
+"""A language model's to the ten commands."""
+
+
+def answered(prompt: str) -> str:
+    number = max(range(len(COMMANDS)), key=lambda n: prompt.rfind(COMMANDS[n].text))  # examples stand before it
+    return json.dumps({"reasoning": "scripted", "outcome": "directive", **ANSWERS[number]})
+
+
+@pytest.fixture(params=["embedded", "endpoint"])
+def model_env(request: pytest.FixtureRequest) -> Iterator[dict[str, str]]:
+    """What to set for the offline stack, and for an OpenAI-compatible endpoint."""
+    if request.param == "embedded":
+        yield {}
+        return
+    scripted = ScriptedModel(answered)
+    yield {"OPENAI_API_KEY": "any", "OPENAI_BASE_URL": scripted.url}
+    assert len(scripted.prompts) >= len(COMMANDS) - 1  # the rules refuse one by themselves
+    scripted.close()
+
 
 @pytest.mark.timeout(90)
-def test_the_ten_commands_go_as_expected_on_the_running_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_ten_commands_go_as_expected_on_the_running_system(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, model_env: dict[str, str]
+) -> None:
     if Reader.load(load_embedder()) is None:
         pytest.skip("MiniLM or the reader's weights are not installed")
     monkeypatch.chdir(tmp_path)
-    result = measure(tmp_path, spacing_s=0.3, without=("llm",))
+    result = measure(tmp_path, spacing_s=0.3, without=("llm",), model_env=model_env)
     assert [row["text"] for row in result["rows"] if not row["as_expected"]] == []
     assert (result["heard_s"]["n"], result["decided_s"]["n"], len(result["rss_mb"])) == (10, 10, len(NODES))
     assert "10 of 10 as expected" in list(lines(result))

@@ -7,10 +7,11 @@ import secrets
 import sys
 import time
 import urllib.request
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from deploy.processes import TCP_HOST, free_port
@@ -152,8 +153,10 @@ def _content(directive: Directive) -> dict[str, Any]:
 
 
 @contextmanager
-def _riding(folder: Path, seed: int, without: Sequence[str]) -> Iterator[tuple[Passenger, dict[str, int]]]:
-    """`fastslow run` with the embedded model and a memory of its own; yields who rides in it and the pids by name.
+def _riding(
+    folder: Path, seed: int, without: Sequence[str], model_env: Mapping[str, str]
+) -> Iterator[tuple[Passenger, dict[str, int]]]:
+    """`fastslow run` with a memory of its own; yields who rides in it and the pids by name.
 
     Raises `ConfigError` if it does not come up.
     """
@@ -163,7 +166,7 @@ def _riding(folder: Path, seed: int, without: Sequence[str]) -> Iterator[tuple[P
 
     port = free_port()
     env = {k: v for k, v in environment().items() if not k.startswith("OPENAI_")}
-    env["FASTSLOW_DATA"] = str(folder / "data")
+    env |= {"FASTSLOW_DATA": str(folder / "data"), **model_env}
     options = [word for name in without for word in ("--without", name)]
     due = time.monotonic() + START_S
     with ExitStack() as stack:
@@ -216,14 +219,15 @@ def _model_ready(run_pid: int) -> bool:
 # --- the result ----------------------------------------------------------------------------------------------------
 
 
-def measure(folder: Path, *, repeats: int = 1, spacing_s: float = 4.0, seed: int = 0,
-            without: Sequence[str] = ()) -> dict[str, Any]:
-    """Ride, say the ten commands `repeats` times, and count. Raises `ConfigError` if the system does not come up."""
+def measure(folder: Path, *, repeats: int = 1, spacing_s: float = 4.0, seed: int = 0, without: Sequence[str] = (),
+            model_env: Mapping[str, str] = MappingProxyType({})) -> dict[str, Any]:
+    """Ride, say the ten commands `repeats` times, and count. model_env: `OPENAI_*` of an endpoint to ask instead of the
+    embedded model. Raises `ConfigError` if the system does not come up."""
     from deploy.bench.contenders import rss_mb
     from deploy.bench.latency import host
 
     machine = host("auto")
-    with _riding(folder, seed, without) as (passenger, pids):
+    with _riding(folder, seed, without, model_env) as (passenger, pids):
         before = passenger.heard.nodes["sim"].figures
         rows = [passenger.say(spoken, spacing_s) for _ in range(repeats) for spoken in COMMANDS]
         passenger.listen(1.0)  # the last heartbeat
