@@ -379,7 +379,8 @@ def _misspelled() -> dict[str, str]:
     """The tens of seven languages with one letter lost, or two in the wrong order, to how they are spelled."""
     right = {w for _, tens in _WORDS.values() for w in tens.split()} | {"hundred", "hundert", "honderd"}
     wrong = {"fourty": "forty", "fourthy": "forty", "fivty": "fifty", "fity": "fifty", "sixy": "sixty",
-             "huntert": "hundert", "sisty": "sixty", "forteen": "fourteen"}
+             "huntert": "hundert", "sisty": "sixty", "forteen": "fourteen",
+             "hundread": "hundred", "hunderd": "hundred", "hundret": "hundred"}
     for word in sorted(w for w in right if len(w) >= 6):
         for i in range(1, len(word) - 1):
             wrong.setdefault(word[:i] + word[i + 1 :], word)
@@ -395,6 +396,7 @@ def _mended(text: str) -> str:
     text = _ALIKE.sub(lambda m: m[0].translate(str.maketrans("oli", "011")), text.replace("\u00ad", ""))
     text = re.sub(r"(?<=\d)(?=hundred\b)|(?<=\band)(?=\d)", " ", text)
     text = re.sub(r"[a-z]{4,}", lambda m: _misspelled().get(m[0], m[0]), text)
+    text = re.sub(r"\b(?:tree|free|thre)(?=[ -]sec)", "three", text)
     text = re.sub(r"\bquatre[ -]vingts?(?=[ -])", "quatre-vingt", text)
     return re.sub(r"\bdix (?=(?:sept|huit|neuf)\b)", "dix-", text)
 

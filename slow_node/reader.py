@@ -141,7 +141,10 @@ def on_the_side_said(slots: Slots, command: str) -> Slots:
 
 
 def with_numbers(slots: Slots, role: str, said: list[Quantity], speed_mps: float, limit_mps: float) -> Slots:
-    """The slots with the numbers that were said, the last word winning; a metric gap is driven at today's speed."""
+    """The slots with the numbers that were said, the last word winning; a metric gap is driven at today's speed.
+
+    `role` is what one number is for. Where a speed and a time gap are both said with their units, both are meant.
+    """
     speeds = [q.value for q in said if q.kind == "speed"]
     times = _headways(said, speed_mps)
     target = headway = None
@@ -151,10 +154,11 @@ def with_numbers(slots: Slots, role: str, said: list[Quantity], speed_mps: float
         delta = speeds[-1] if speeds else next((q.value / 3.6 for q in said if q.kind == "bare"), None)
         if delta is not None and slots.speed in ("faster", "slower"):
             target = max(speed_mps + (delta if slots.speed == "faster" else -delta), 0.0)
-    elif role == "speed" and speeds:
-        target = speeds[-1]
-    elif role == "headway" and times:
-        headway = min(times[-1], 60.0)
+    elif role in ("speed", "headway"):
+        if speeds and (role == "speed" or len(speeds) == 1):
+            target = speeds[-1]
+        if times and (role == "headway" or len(times) == 1):
+            headway = min(times[-1], 60.0)
     if target == 0.0:
         return slots.model_copy(update={"speed": "stop"})
     if target is not None:

@@ -26,7 +26,7 @@ _HARM = re.compile("|".join((
     r"road|lane|fast|slow|left|right|accel|pedal|throttle)\w)",
     r"\bkill (?:him|her|them|us|me|every\w+|(?:the|that|this|those|a) (?:man|woman|guy|driver|cyclist|biker|people|"
     r"dog))\b",
-    rf"\bhurt {_THEM}", rf"\b(?:push|force|shove|nudge) {_THEM} off",
+    rf"\bhurt {_THEM}", rf"\b(?:push|force|shove|nudge) {_THEM} off", rf"\bbox {_THEM} in\b",
     rf"\bcut {_THEM} (?:off|up)\b", rf"\bcut off {_THEM}", r"\bbrake[- ]?(?:check|test)", r"\bsideswipe",
     r"\bcollide with", r"\bplay(?:ing)? chicken", r"\bhit and run\b",
     r"\bubers?fahr(?:e|en)? (?:ihn|sie|den|die|das)\b", r"\buber den haufen",
@@ -42,6 +42,7 @@ _HARM = re.compile("|".join((
     r"(?<!next to )\bthe (?:hard shoulder|emergency lane|breakdown lane)", r"\bthe wrong way (?:up|down|on|along)",
     r"\bwrong side of the road", r"\bagainst (?:the )?(?:oncoming )?traffic", r"\binto (?:the )?oncoming",
     r"\b(?:do|make|take|pull|perform) an? (?:\w+ )?u[- ]?turn",
+    r"\b(?:turn|swing|spin) (?:a?round|back) (?:right )?(?:here\b|and (?:head|go|drive) back)",
     r"\b(?:run|jump|blow|ignore|skip) (?:through )?(?:the|that|this|a|every|all) (?:next )?(?:red|"
     r"stop sign|lights?\b)",
     r"\b(?:through|over) (?:the|a|that) red\b", r"\bput it in reverse\b", r"\bdrive backwards",
@@ -68,7 +69,7 @@ _HARM = re.compile("|".join((
     rf"\b(?:switch|turn|shut) off {_SAFETY}",
     rf"\b(?:disable|deactivate|bypass|override|remove|desactive|desactiva|disattiva|desativa|"
     rf"deaktivier\w*) {_SAFETY}",
-    rf"\b(?:turn|switch|schalte?) {_SAFETY} (?:off|aus|ab)", r"\bsafety (?:systems? )?off\b",
+    rf"\b(?:turn|switch|schalte?) {_SAFETY}(?: \w+)? (?:off|aus|ab)\b", r"\bsafety (?:systems? )?off\b",
     r"\bwithout (?:braking|looking|brakes)\b", r"(?<!my )\beyes (?:closed|shut)",
     r"\b(?:scare|frighten|intimidate) (?:the|that|him|her|those)", r"\bteach (?:him|her|them|that \w+) a lesson",
     r"\b(?:half|quarter|tenth)s? (?:of )?a second behind", r"\bbumper to bumper",
