@@ -2,8 +2,8 @@
 
     python -m slow_node.training.train [--out FOLDER] [--size N] [--epochs N] [--seed N]
 
-One thread, an hour: four epochs from nothing, then two warm restarts of an epoch each from what was written. Every epoch
-has new commands; the same seed on the same machine gives the same weights, to the last bit.
+One thread, an hour: four epochs from nothing, then two warm restarts of an epoch each from what was written. Every
+epoch has new commands; the same seed on the same machine gives the same weights, to the last bit.
 5 % of the hand-written frames (not of the sentences made from them) are held out; on what is made of those the
 temperatures of the heads are fitted, and the figures in the sidecar are measured.
 """
