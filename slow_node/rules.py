@@ -43,6 +43,9 @@ _HARM = re.compile("|".join((
     r"\bwrong side of the road", r"\bagainst (?:the )?(?:oncoming )?traffic", r"\binto (?:the )?oncoming",
     r"\b(?:do|make|take|pull|perform) an? (?:\w+ )?u[- ]?turn",
     r"\b(?:turn|swing|spin) (?:a?round|back) (?:right )?(?:here\b|and (?:head|go|drive) back)",
+    r"\bmissed .{0,20}\b(?:exit|turn\w*|junction|ramp|slip road)\b.{0,30}\b"
+    r"(?:back (?:it )?up|reverse|go back|turn back)",
+    r"\b(?:back (?:it )?up|reverse|roll back) (?:in)?to (?:the|that|our) (?:exit|turn\w*|junction|ramp|slip road)",
     r"\b(?:run|jump|blow|ignore|skip) (?:through )?(?:the|that|this|a|every|all) (?:next )?(?:red|"
     r"stop sign|lights?\b)",
     r"\b(?:through|over) (?:the|a|that) red\b", r"\bput it in reverse\b", r"\bdrive backwards",
