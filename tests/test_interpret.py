@@ -19,7 +19,7 @@ from slow_node.embedding import load_embedder
 from slow_node.reader import Reader
 from slow_node.replies import sentence
 from slow_node.slots import Slots
-from slow_node.training.generate import HEADS, Generator, load_stock
+from slow_node.training.generate import HEADS, Generator, Sample, in_scenes, load_stock
 
 run = CliRunner()
 
@@ -52,6 +52,23 @@ def test_every_line_yields_one_line_with_all_its_keys(reader: Reader, tmp_path: 
             "retrieved"} <= set(rows[0])
     assert rows[0]["slots"] == {"speed": "slower", "target_speed_mps": None, "lane": None, "gap": None,
                                 "headway_s": None, "overtake": None, "cancel": False}
+
+
+def test_a_generated_command_has_a_scene_that_interpret_takes_and_numbers_resolved_against_it() -> None:
+    label = {name: classes[0] for name, classes in HEADS.items()}
+    sample = Sample("ten km/h faster", "en", {**label, "speed": "faster", "number": "delta"})
+    rows = list(in_scenes([sample] * 20, seed=0))
+    scenes = [scene_of(row["scene"]) for row in rows]
+    assert len({scene.speed_mps for scene in scenes}) > 10
+    assert [row["slots"]["target_speed_mps"] for row in rows] == [  # type: ignore[index]
+        pytest.approx(min(scene.speed_mps + 10 / 3.6, scene.limit_mps), abs=0.01) for scene in scenes]
+
+
+def test_a_generated_commands_labels_are_those_of_an_exam() -> None:
+    rows = list(in_scenes(Generator(load_stock(), 5).samples(100)[-2000:], seed=0))
+    exam = labelled_set("dev")
+    assert all(set(row["slots"]) == set(exam[0]["slots"]) for row in rows)  # type: ignore[call-overload]
+    assert {row["outcome"] for row in rows} == {row["outcome"] for row in exam}
 
 
 def test_a_missing_input_is_a_usage_error_with_its_name() -> None:

@@ -2,6 +2,9 @@
 
     python -m slow_node.training.generate --seed 0 --size 24000 > commands.jsonl
 
+Each line is labelled as the exams are, with a scene, for training or trying any other model: {"id", "text", "language",
+"scene", "outcome", "slots"}; `fastslow interpret --input commands.jsonl` reads it.
+
 A phrase file holds sections. `@ slot=value ...` begins phrases with that label (`imp`: bare English imperatives, which
 may be negated); `@@ name` begins the language's connecting words, or (`heard`, `chat`) its misspellings. In a phrase,
 `(a|b)` is a choice, `[a]` may be left out, and `{v}`, `{d}`, `{h}` stand for a speed, a difference of speeds and a time
@@ -457,6 +460,34 @@ _TIME_UNITS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }
 
 
+def in_scenes(samples: list[Sample], seed: int) -> Iterator[dict[str, object]]:
+    """Labelled commands, each in a scene of its own: speed and traffic are drawn, numbers are resolved against them.
+
+    The road stays the one that the phrases are labelled for: four lanes, the ego in the second, limit `LIMIT_MPS`.
+    """
+    r = random.Random(seed)
+    for number, sample in enumerate(samples, 1):
+        speed = round(r.uniform(15.0, LIMIT_MPS), 1)
+        vehicles = [{"lane": 1, "gap_m": round(r.uniform(12.0, 80.0), 1),
+                     "speed_mps": round(r.uniform(0.6, 1.0) * speed, 1)}]
+        vehicles += [{"lane": r.choice((0, 2, 3)), "gap_m": round(r.choice((-1.0, 1.0)) * r.uniform(5.0, 100.0), 1),
+                      "speed_mps": round(r.uniform(0.7, 1.2) * speed, 1)} for _ in range(r.randrange(5))]
+        said = {k: v for k, v in sample.label.items() if v != HEADS[k][0]}
+        known = {k: v == "true" if k in ("overtake", "cancel") else v for k, v in said.items()
+                 if k not in ("number", "language")}
+        slots = with_numbers(Slots.model_validate({"outcome": sample.label["outcome"], **known}),
+                             sample.label["number"], quantities(sample.text), speed, LIMIT_MPS)
+        target = slots.target_speed_mps
+        yield {
+            "id": f"g{number}", "text": sample.text, "language": sample.language,
+            "scene": {"lanes": 4, "ego_lane": 1, "speed_mps": speed, "limit_mps": LIMIT_MPS, "vehicles": vehicles},
+            "outcome": slots.outcome, "slots": {
+                "speed": None if slots.speed == "none" else slots.speed,
+                "target_speed_mps": None if target is None else round(min(target, LIMIT_MPS), 2),
+                "lane": None if slots.lane == "none" else slots.lane, "gap": None if slots.gap == "none" else slots.gap,
+                "headway_s": slots.headway_s, "overtake": slots.overtake, "cancel": slots.cancel}}
+
+
 def seeds(stock: Stock, seed: int) -> Iterator[dict[str, object]]:
     """Examples for the memory bank: some English phrases of every label, one of the main labels elsewhere."""
     exam = exam_texts()
@@ -497,9 +528,8 @@ def main() -> None:
         for row in seeds(load_stock(), options.seed):
             sys.stdout.write(json.dumps(row, ensure_ascii=False) + "\n")
         return
-    for sample in Generator(load_stock(), options.seed).samples(options.size):
-        sys.stdout.write(json.dumps({"text": sample.text, "language": sample.language, **sample.label},
-                                    ensure_ascii=False) + "\n")
+    for row in in_scenes(Generator(load_stock(), options.seed).samples(options.size), options.seed):
+        sys.stdout.write(json.dumps(row, ensure_ascii=False) + "\n")
 
 
 if __name__ == "__main__":
