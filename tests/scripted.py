@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 
@@ -39,3 +40,15 @@ class ScriptedModel:
     def close(self) -> None:
         self.server.shutdown()
         self.server.server_close()
+
+
+@contextmanager
+def model_of(kind: str, script: Callable[[str], str], at_least: int = 1) -> Iterator[dict[str, str]]:
+    """What to set for the "embedded" model, or for an "endpoint", which must be asked `at_least` so often."""
+    if kind == "embedded":
+        yield {}
+        return
+    scripted = ScriptedModel(script)
+    yield {"OPENAI_API_KEY": "any", "OPENAI_BASE_URL": scripted.url}
+    assert len(scripted.prompts) >= at_least
+    scripted.close()

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from scripted import ScriptedModel
+from scripted import model_of
 
 from deploy.bench.passenger import COMMANDS, NODES, lines, measure
 from schemas.messages import Directive, Reply
@@ -28,14 +28,8 @@ def answered(prompt: str) -> str:
 
 @pytest.fixture(params=["embedded", "endpoint"])
 def model_env(request: pytest.FixtureRequest) -> Iterator[dict[str, str]]:
-    """What to set for the offline stack, and for an OpenAI-compatible endpoint."""
-    if request.param == "embedded":
-        yield {}
-        return
-    scripted = ScriptedModel(answered)
-    yield {"OPENAI_API_KEY": "any", "OPENAI_BASE_URL": scripted.url}
-    assert len(scripted.prompts) >= len(COMMANDS) - 1  # the rules refuse one by themselves
-    scripted.close()
+    with model_of(request.param, answered, len(COMMANDS) - 1) as env:  # the rules refuse one by themselves
+        yield env
 
 
 @pytest.mark.timeout(90)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from scripted import ScriptedModel
+from scripted import model_of
 
 RUN = [sys.executable, "-m", "deploy", "run", "--port", "0", "--json", "--seed", "3"]
 ROOT = Path(__file__).parents[1]
@@ -51,14 +51,8 @@ def hurried(prompt: str) -> str:
 
 @pytest.fixture(params=["embedded", "endpoint"])
 def model_env(request: pytest.FixtureRequest) -> Iterator[dict[str, str]]:
-    """What to set for the embedded model, and for an OpenAI-compatible endpoint."""
-    if request.param == "embedded":
-        yield {}
-        return
-    scripted = ScriptedModel(hurried)
-    yield {"OPENAI_API_KEY": "any", "OPENAI_BASE_URL": scripted.url}
-    assert scripted.prompts
-    scripted.close()
+    with model_of(request.param, hurried) as env:
+        yield env
 
 
 @pytest.mark.timeout(120)
