@@ -143,7 +143,8 @@ def on_the_side_said(slots: Slots, command: str) -> Slots:
 def with_numbers(slots: Slots, role: str, said: list[Quantity], speed_mps: float, limit_mps: float) -> Slots:
     """The slots with the numbers that were said, the last word winning; a metric gap is driven at today's speed.
 
-    `role` is what one number is for. Where a speed and a time gap are both said with their units, both are meant.
+    `role` is what one number is for. Where one speed and one time gap in seconds are said, both are meant; beside
+    metres a number without a unit may be more metres.
     """
     speeds = [q.value for q in said if q.kind == "speed"]
     times = _headways(said, speed_mps)
@@ -155,7 +156,7 @@ def with_numbers(slots: Slots, role: str, said: list[Quantity], speed_mps: float
         if delta is not None and slots.speed in ("faster", "slower"):
             target = max(speed_mps + (delta if slots.speed == "faster" else -delta), 0.0)
     elif role in ("speed", "headway"):
-        if speeds and (role == "speed" or len(speeds) == 1):
+        if speeds and (role == "speed" or (len(speeds) == 1 and all(q.kind != "length" for q in said))):
             target = speeds[-1]
         if times and (role == "headway" or len(times) == 1):
             headway = min(times[-1], 60.0)
