@@ -196,7 +196,8 @@ def train(
     typer.echo(": ".join((str(out), *told)), err=True)
 
 
-@app.command(epilog="Examples:\n\n  fastslow study\n\n  fastslow study --quick --json\n\n" + _EXITS)
+@app.command(epilog="Examples:\n\n  fastslow study\n\n  fastslow study --quick --json\n\n"
+                    "  fastslow study --tune --out runs/search\n\n" + _EXITS)
 def study(
     out: Annotated[Path, typer.Option(
         help="Where cells, study.json and study.png go; finished cells are kept.")] = Path("runs/study"),
@@ -204,20 +205,29 @@ def study(
         help="ours, ppo, dqn or a2c; may be repeated.", show_default="all")] = None,
     scenario: Annotated[list[str] | None, typer.Option(
         help="Roads; may be repeated.", show_default="highway, merge, two-way")] = None,
-    seeds: Annotated[int, typer.Option(min=1, help="How many, from 0.")] = 5,
+    seeds: Annotated[int | None, typer.Option(
+        min=1, help="How many, from 0; with --tune from 100.", show_default="5; with --tune 1")] = None,
     steps: Annotated[int, typer.Option(min=256, help="Decisions per run.")] = 100_000,
     jobs: Annotated[int, typer.Option(min=1, help="Runs side by side.")] = 2,
     quick: Annotated[bool, typer.Option(
         "--quick", help="Our learner only, 10,000 decisions, always anew, in --out/quick; exit code 1 if it learns too "
                         "little.")] = False,
+    tune: Annotated[bool, typer.Option(
+        "--tune", help="Try other settings of the baselines instead, on seeds of their own.")] = False,
     as_json: Json = False,
 ) -> None:
     """Compare our learner with PPO, DQN and A2C over several seeds; run again to go on."""
     with _readable_ends():
-        from deploy.study import ALGORITHMS, ROADS, run_study
+        from deploy.study import ALGORITHMS, ROADS, run_search, run_study
 
-        code = run_study(out, algorithms=algorithm or ALGORITHMS, scenarios=scenario or ROADS, seeds=range(seeds),
-                         steps=steps, jobs=jobs, quick=quick, as_json=as_json)
+        if tune and (quick or "ours" in (algorithm or ())):
+            raise ValueError("--tune is for the baselines: leave out --quick and --algorithm ours")
+        if tune:
+            code = run_search(out, algorithms=algorithm or ALGORITHMS[1:], scenarios=scenario or ROADS,
+                              seeds=seeds or 1, steps=steps, jobs=jobs, as_json=as_json)
+        else:
+            code = run_study(out, algorithms=algorithm or ALGORITHMS, scenarios=scenario or ROADS,
+                             seeds=range(seeds or 5), steps=steps, jobs=jobs, quick=quick, as_json=as_json)
     raise typer.Exit(code)
 
 

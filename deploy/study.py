@@ -18,7 +18,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import mean, stdev
 from typing import Any
@@ -51,6 +51,7 @@ GAIN = 0.3
 QUICK_SCENARIO, QUICK_SEEDS, QUICK_STEPS = "two-way", (0, 1, 2), 10_000
 QUICK_RETURN = 3.0
 """`--quick` fails below this mean return; seeds 0 to 4 reached 3.34 each, and had -6.6 to 2.5 before they learnt."""
+SEARCH_SCHEMA, SEARCH_SEED = "fastslow.search/1", 100
 CURVE_EVERY, CURVE_SCENES, CURVE_SEED = 10_000, 64, 9_000_000
 
 Array = NDArray[np.float32]
@@ -67,10 +68,12 @@ class Cell:
     seed: int
     steps: int
     episodes: int
+    trial: str = ""
+    """Settings of a baseline that are tried, by name; "": those chosen."""
 
     @property
     def name(self) -> str:
-        return f"{self.scenario}-{self.algorithm}-{self.variant}-{self.seed}"
+        return "-".join(filter(None, (self.scenario, self.algorithm, self.variant, str(self.seed), self.trial)))
 
     @property
     def masked(self) -> bool:
@@ -114,7 +117,8 @@ def run_cell(cell: Cell, folder: Path) -> dict[str, Any]:
     else:
         from fast_node.training.baselines import learn
 
-        learn(cell.algorithm, scenes, out, variant=cell.variant, steps=cell.steps, seed=cell.seed, watch=watch)
+        learn(cell.algorithm, scenes, out, variant=cell.variant, steps=cell.steps, seed=cell.seed,
+              trial=cell.trial, watch=watch)
     policy = load_policy(out) if ours else load_mlp(out)
     curve.append((int(str(policy.sidecar["steps"])), curve_return(cell, policy.logits)))
     result = {**_identity(cell), "curve": curve, **measured(cell, policy.logits),
@@ -126,7 +130,19 @@ def run_cell(cell: Cell, folder: Path) -> dict[str, Any]:
 
 
 def _identity(cell: Cell) -> dict[str, Any]:
-    return {**asdict(cell), "layout_hash": LAYOUT_HASH, "mask": MASK_VERSION if cell.masked else None}
+    return {**asdict(cell), "layout_hash": LAYOUT_HASH, "mask": MASK_VERSION if cell.masked else None,
+            "learner": learner_of(cell)}
+
+
+def learner_of(cell: Cell) -> dict[str, Any]:
+    """The settings of who learns, as the sidecars have them."""
+    if cell.algorithm == "ours":
+        from fast_node.training.learner import LearnerConfig
+
+        return asdict(LearnerConfig())
+    from fast_node.training.baselines import settings_of
+
+    return settings_of(cell.algorithm, cell.trial)
 
 
 def _result_path(cell: Cell, folder: Path) -> Path:
@@ -192,10 +208,10 @@ def run_study(
         out = out / "quick"
         algorithms, scenarios, seeds, steps = ("ours",), (QUICK_SCENARIO,), QUICK_SEEDS, QUICK_STEPS
     cells = cells_of(algorithms, scenarios, seeds, steps, EPISODES)
-    for package, extra, wanted in (("torch", "train", True), ("matplotlib", "train", True),
-                                   ("stable_baselines3", "baselines", any(c.algorithm != "ours" for c in cells))):
-        if wanted and importlib.util.find_spec(package) is None:
-            raise ConfigError(f"{package} is missing: pip install 'fastslow[{extra}]'")
+    needed("torch", "train")
+    needed("matplotlib", "train")
+    if any(c.algorithm != "ours" for c in cells):
+        needed("stable_baselines3", "baselines")
     if quick and out.exists():
         shutil.rmtree(out)
     out.mkdir(parents=True, exist_ok=True)
@@ -210,6 +226,57 @@ def run_study(
     reached = mean(r["curve"][-1][1] for r in results)
     print(f"return {reached:.3f}, at least {QUICK_RETURN} wanted", file=sys.stderr)
     return int(reached < QUICK_RETURN)
+
+
+def run_search(out: Path, *, algorithms: Sequence[str] = BASELINES, scenarios: Sequence[str] = ROADS, seeds: int = 1,
+               steps: int = STEPS, jobs: int = 2, as_json: bool = False) -> int:
+    """Try each baseline's `TRIALS` on seeds that the study does not use, and say which settings earn most.
+
+    Writes `out`/search.json and prints the table. Raises ValueError for unknown names, and `ConfigError` for a package
+    that is missing.
+    """
+    needed("torch", "train")
+    needed("stable_baselines3", "baselines")
+    from fast_node.training.baselines import CHOSEN, TRIALS
+
+    plain = cells_of(algorithms, scenarios, [SEARCH_SEED + k for k in range(seeds)], steps)
+    cells = [replace(cell, trial=trial) for cell in plain for trial in TRIALS.get(cell.algorithm, ())]
+    results = run_cells(cells, out / "cells", jobs)
+    rows = search_rows(results)
+    search = {"schema": SEARCH_SCHEMA, "cells": results, "rows": rows}
+    (out / "search.json").write_text(json.dumps(search, indent=1) + "\n")
+    print(json.dumps(search) if as_json else search_table(rows, CHOSEN))
+    return 0
+
+
+def search_rows(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A row per algorithm and trial, the best first: its mean final return on every road and variant, and over all."""
+    groups: dict[tuple[str, str], dict[str, list[float]]] = {}
+    for r in results:
+        where = groups.setdefault((r["algorithm"], r["trial"]), {})
+        where.setdefault(f"{r['scenario']} {r['variant']}", []).append(r["curve"][-1][1])
+    rows = [{"algorithm": algorithm, "trial": trial, "runs": sum(map(len, where.values())),
+             "returns": {place: mean(some) for place, some in where.items()},
+             "return": mean(mean(some) for some in where.values())} for (algorithm, trial), where in groups.items()]
+    order = {algorithm: k for k, algorithm in enumerate(ALGORITHMS)}
+    return sorted(rows, key=lambda row: (order[str(row["algorithm"])], -float(str(row["return"]))))
+
+
+def search_table(rows: Sequence[dict[str, Any]], chosen: dict[str, str]) -> str:
+    """The search as Markdown; the chosen settings are bold."""
+    places = list(rows[0]["returns"])
+    lines = [f"| algorithm | settings | runs | {' | '.join(places)} | mean |", "| --- " * (4 + len(places)) + "|"]
+    for row in rows:
+        trial = f"**{row['trial']}**" if chosen[row["algorithm"]] == row["trial"] else row["trial"]
+        returns = " | ".join(f"{row['returns'][place]:.2f}" for place in places)
+        lines.append(f"| {row['algorithm']} | {trial} | {row['runs']} | {returns} | {row['return']:.3f} |")
+    return "\n".join(lines)
+
+
+def needed(package: str, extra: str) -> None:
+    """Raises `ConfigError` that names the extra to install for a package that is missing."""
+    if importlib.util.find_spec(package) is None:
+        raise ConfigError(f"{package} is missing: pip install 'fastslow[{extra}]'")
 
 
 def run_cells(cells: Sequence[Cell], folder: Path, jobs: int) -> list[dict[str, Any]]:

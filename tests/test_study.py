@@ -11,7 +11,18 @@ import numpy as np
 import pytest
 
 from deploy import study
-from deploy.study import Cell, cells_of, claims_of, finished, run_cell, run_cells, summary_of, t_interval
+from deploy.study import (
+    Cell,
+    cells_of,
+    claims_of,
+    finished,
+    run_cell,
+    run_cells,
+    search_rows,
+    search_table,
+    summary_of,
+    t_interval,
+)
 from deploy.training import mixed_scenes, train_policy
 from fast_node.mlp import WISH, load_mlp
 from fast_node.training.train import saved_state
@@ -175,6 +186,28 @@ def test_the_study_skips_finished_cells_and_not_those_of_other_settings(
     assert run_cells([TOY], tmp_path, jobs=1) == [json.loads(json.dumps(result))]
     assert [step for step, _ in result["curve"]] == [0, 1024]
     assert finished(Cell("ours", "masked", "two-way", 0, 512, 2), tmp_path) is None
+
+
+def test_a_cell_that_was_run_with_other_settings_of_the_baseline_is_run_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("stable_baselines3")
+    from fast_node.training import baselines
+
+    cell = Cell("a2c", "masked", "two-way", 0, 256, 2)
+    run_cell(cell, tmp_path)
+    assert finished(cell, tmp_path)
+    monkeypatch.setitem(baselines.CHOSEN, "a2c", "gae")
+    assert finished(cell, tmp_path) is None
+
+
+def test_the_search_tells_trials_apart_and_puts_the_one_that_earns_most_first() -> None:
+    found = [{**result("a2c", earned, variant=variant), "trial": trial} for trial, variant, earned in (
+        ("start", "bare", 1.0), ("start", "masked", 2.0), ("gae", "bare", 4.0), ("gae", "masked", 1.0))]
+    rows = search_rows(found)
+    assert [(r["trial"], r["runs"], r["return"]) for r in rows] == [("gae", 2, 2.5), ("start", 2, 1.5)]
+    assert rows[0]["returns"] == {"merge bare": 4.0, "merge masked": 1.0}
+    assert "| a2c | **start** | 2 | 1.00 | 2.00 | 1.500 |" in search_table(rows, {"a2c": "start"})
 
 
 def test_the_matrix_has_ours_once_and_every_baseline_in_both_variants() -> None:

@@ -39,7 +39,20 @@ CONFIG: dict[str, dict[str, Any]] = {
     "dqn": {"batch_size": 64, "buffer_size": 100_000, "learning_starts": 1000, "train_freq": 1, "gradient_steps": 4,
             "target_update_interval": 1000, "exploration_fraction": 0.2},
 }
-"""Where they differ from stable-baselines3's defaults, for 64 (PPO) and 16 scenes at once."""
+"""Where the search began: apart from stable-baselines3's defaults, for 64 (PPO) and 16 scenes at once."""
+TRIALS: dict[str, dict[str, dict[str, Any]]] = {
+    "ppo": {"start": {}, "lr-2.5e-4": {"learning_rate": 2.5e-4}, "lr-1e-3": {"learning_rate": 1e-3},
+            "no-entropy": {"ent_coef": 0.0}, "no-kl-limit": {"target_kl": None},
+            "short-rollouts": {"n_steps": 8, "batch_size": 128}},
+    "a2c": {"start": {}, "lr-2.5e-4": {"learning_rate": 2.5e-4}, "lr-1e-3": {"learning_rate": 1e-3},
+            "gae": {"n_steps": 16, "gae_lambda": 0.95}, "normalised": {"normalize_advantage": True},
+            "adam": {"use_rms_prop": False}},
+    "dqn": {"start": {}, "lr-1e-4": {"learning_rate": 1e-4}, "lr-2.5e-4": {"learning_rate": 2.5e-4},
+            "explore-half": {"exploration_fraction": 0.5}, "slow-target": {"target_update_interval": 5000}},
+}
+"""What `fastslow study --tune` compares: changes of CONFIG, one at a time."""
+CHOSEN = {"ppo": "start", "a2c": "start", "dqn": "start"}
+"""The best of each in that comparison."""
 _ADAM: dict[str, dict[str, Any]] = {
     "ppo": {"optimizer_kwargs": {"eps": 1e-5, "fused": True}}, "a2c": {}, "dqn": {"optimizer_kwargs": {"fused": True}}}
 """The same Adam, computed faster; 1e-5 is PPO's own."""
@@ -111,11 +124,18 @@ class _Watch(BaseCallback):
         return True
 
 
+def settings_of(algorithm: str, trial: str = "") -> dict[str, Any]:
+    """What stable-baselines3 is told, by the chosen or the named trial. Raises KeyError for unknown names."""
+    return {**COMMON, **CONFIG[algorithm], **TRIALS[algorithm][trial or CHOSEN[algorithm]]}
+
+
 def learn(
-    algorithm: str, scenes: Mixed, out: Path, *, variant: str, steps: int, seed: int,
+    algorithm: str, scenes: Mixed, out: Path, *, variant: str, steps: int, seed: int, trial: str = "",
     watch: Callable[[int, Logits], None] = lambda *_: None,
 ) -> dict[str, float]:
     """Train "ppo", "a2c" or "dqn" for `steps` decisions and export it to `out` (.safetensors) for `fast_node.mlp`.
+
+    trial: one of TRIALS, instead of the chosen one.
 
     Returns the mean return and the share of crashes of its last 200 episodes, if any came to an end.
 
@@ -123,8 +143,9 @@ def learn(
     """
     torch.set_num_threads(1)
     env = VecScenes(scenes, variant)
+    settings = settings_of(algorithm, trial)
     kinds: dict[str, Any] = {"ppo": PPO, "a2c": A2C, "dqn": DQN}
-    model = kinds[algorithm]("MlpPolicy", env, seed=seed, device="cpu", **COMMON, **CONFIG[algorithm],
+    model = kinds[algorithm]("MlpPolicy", env, seed=seed, device="cpu", **settings,
                              policy_kwargs={"net_arch": [WIDTH, WIDTH], **_ADAM[algorithm]})
     sidecar = {"algorithm": algorithm, "variant": variant, "activation": "relu" if algorithm == "dqn" else "tanh"}
 
@@ -138,7 +159,7 @@ def learn(
                "crash_rate": round(float(np.mean([c for _, c in last])), 4)} if last else {}
     export(model, out, {
         **sidecar, "mask": None if variant == "bare" else MASK_VERSION, "steps": model.num_timesteps, "seed": seed,
-        **conditions(scenes), "learner": {**COMMON, **CONFIG[algorithm]},
+        **conditions(scenes), "learner": settings,
         "revision": revision(), "metrics": metrics})
     return metrics
 
