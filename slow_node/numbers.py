@@ -113,7 +113,8 @@ _UNITS: tuple[tuple[str, str], ...] = (
         r"o'?clock|am|pm|"
               r"degrees?|grad|euros?|dollars?|lanes?|spuren?|voies?|carril\w*|cors[ie]\w*|faixas?|ban(?:en|an)?|times|"
               r"cars?|car lengths?|people|years?|jahre?|th|st|nd|rd"),
-    ("second", r"s|secs?|sek|se[ckg]\w*ond\w*|segund\w*|seg|sekun[dt]\w*|seconden?|saniye|секунд\w*|秒\w*|초"),
+    ("second", r"s|secs?|sek|se[ckg]\w*ond\w*|sec(?:n?d|on|od|no)s?|se(?:oc|o)n?ds?|"
+               r"segund\w*|seg|sekun[dt]\w*|seconden?|saniye|секунд\w*|秒\w*|초"),
     ("foot", r"feet|foot|ft|fuss|pieds?|pies"),
     ("yard", r"yards?|yds?"),
     ("metre", r"m|met(?:er|re|ro|ri)s?|metern|metr(?:y|ow|a|ia)?|метр\w*|米|メートル|미터"),
@@ -391,12 +392,26 @@ def _misspelled() -> dict[str, str]:
     return wrong
 
 
+_ONES_AS_TYPED = {
+    "wun": "one", "oen": "one", "tow": "two", "tree": "three", "free": "three", "thre": "three",
+    "trhee": "three", "theree": "three", "foru": "four", "fuor": "four", "fower": "four", "fiv": "five",
+    "fve": "five", "fiev": "five", "siks": "six", "sixx": "six", "sxi": "six", "sevn": "seven", "sevin": "seven",
+    "seveen": "seven", "eigt": "eight", "eigth": "eight", "eihgt": "eight", "nien": "nine",
+    "nin": "nine", "nyne": "nine"}
+_ONES_SLIPPED = re.compile(
+    r"\b(?P<tens>(?:twenty|thirty|forty|fifty|sixty|seventy|eighty|ninety)[ -])?"
+    rf"(?P<one>{'|'.join(sorted(_ONES_AS_TYPED, key=len, reverse=True))})"
+    r"\b(?(tens)|(?=[ -]s[eco]{1,3}\w{0,3}s\b))")
+"""After a ten ("ninety fiv"), or before seconds."""
+
+
 def _mended(text: str) -> str:
     """Look-alike letters as digits, slips in number words mended, words and digits apart."""
+    text = re.sub(r"(?<=!)[1!]+(?!\w)", "", text)  # "now!!1"
     text = _ALIKE.sub(lambda m: m[0].translate(str.maketrans("oli", "011")), text.replace("\u00ad", ""))
     text = re.sub(r"(?<=\d)(?=hundred\b)|(?<=\band)(?=\d)", " ", text)
     text = re.sub(r"[a-z]{4,}", lambda m: _misspelled().get(m[0], m[0]), text)
-    text = re.sub(r"\b(?:tree|free|thre)(?=[ -]sec)", "three", text)
+    text = _ONES_SLIPPED.sub(lambda m: f"{m['tens'] or ''}{_ONES_AS_TYPED[m['one']]}", text)
     text = re.sub(r"\bquatre[ -]vingts?(?=[ -])", "quatre-vingt", text)
     return re.sub(r"\bdix (?=(?:sept|huit|neuf)\b)", "dix-", text)
 

@@ -67,12 +67,17 @@ def test_a_speed_and_a_time_gap_in_one_sentence_are_both_meant(text: str, role: 
     assert (slots.target_speed_mps, slots.headway_s) == (pytest.approx(25.0), 2.0)
 
 
+def test_exclamation_marks_that_slipped_are_no_number() -> None:
+    assert quantities("faster!!1") == []
+
+
 def test_a_number_that_corrects_metres_is_no_speed() -> None:
     slots = with_numbers(Slots(outcome="directive"), "headway", quantities("50 metres, make that 75"), 25.0, 33.0)
     assert slots.target_speed_mps is None
 
 
-@pytest.mark.parametrize(("text", "value"), [("tree seconds", 3.0), ("one hundread seconds", 100.0)])
+@pytest.mark.parametrize(("text", "value"), [
+    ("tree seconds", 3.0), ("thre secnds", 3.0), ("one hundread seconds", 100.0), ("ninty fiv m/s", 95.0)])
 def test_a_slip_in_a_number_word_is_mended(text: str, value: float) -> None:
     assert [q.value for q in quantities(text)] == [value]
 

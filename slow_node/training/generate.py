@@ -125,6 +125,11 @@ class Generator:
         self._imperatives = [f for f in stock.frames if f.imperative]
         self._heard = _misspellings(stock.words["en", "heard"])
         self._chat = {language: _misspellings(stock.words[language, "chat"]) for language in (*LANGUAGES, "other")}
+        self._opposed: dict[tuple[str, str], list[Frame]] = defaultdict(list)
+        for frame in stock.frames:
+            slots = {k: v for k, v in frame.label if k != "outcome"}
+            if frame.slots["outcome"] == "directive" and len(slots) == 1 and "cancel" not in slots:
+                self._opposed[frame.language, next(iter(slots))].append(frame)
         self._groups: dict[tuple[str, bool], tuple[list[list[Frame]], list[float]]] = {}
 
     @staticmethod
@@ -153,7 +158,8 @@ class Generator:
 
     def _composed(self) -> Sample | None:
         kinds = {self._dressed: 40, self._compound: 24, self._correction: 8, self._taken_back: 4, self._replaced: 4,
-                 self._not_but: 3, self._negated: 8, self._mixed: 9, self._undecided: 3, self._salad: 3}
+                 self._not_but: 3, self._negated: 8, self._mixed: 9, self._contradicted: 7, self._undecided: 2,
+                 self._salad: 3, self._mumbled: 2, self._gibberish: 2}
         try:
             return self._r.choices(list(kinds), list(kinds.values()))[0]()
         except (IndexError, ValueError):  # a small stock, as the held-out one, lacks what this kind is made of
@@ -266,6 +272,8 @@ class Generator:
             return None
         joint = self._r.choice(self._stock.words[language, "correction"])
         text = f"{self._say(first).rstrip('.!?')}{joint} {self._say(last)}"
+        if language == "en" and self._r.random() < 0.1:
+            text = f"{text.rstrip('.!?')} instead"
         return self._finish(self._dress(text, language, short=False) if self._r.random() < 0.4 else text, last)
 
     def _taken_back(self) -> Sample | None:
@@ -322,6 +330,41 @@ class Generator:
         self._r.shuffle(parts)
         label = other.slots if other.slots["outcome"] == "refused" else wish.slots
         return self._finish(f"{parts[0]}{self._r.choice(joints)} {parts[1]}", wish, label)
+
+    def _contradicted(self) -> Sample | None:
+        """Two values of one slot that cannot be had together, asked for together: nobody can tell which."""
+        language = self._r.choice(("en", "en", "en", *LANGUAGES))
+        slot = self._r.choice(("speed", "speed", "lane", "gap", "overtake", "number"))
+        joints, frames = "clash", self._opposed[language, slot]
+        if language == "en" and self._r.random() < 0.35:
+            joints = "while"
+            frames = [f for f in frames if f.imperative]
+        first, last = self._r.sample(frames, 2)
+        if joints == "while" and first.label == last.label and first.slots.get("speed") != "slower":
+            joints = "without"
+        elif not _clash(first.slots[slot], last.slots[slot]):
+            return None
+        x, y = self._say(first).rstrip(".!?"), self._say(last).rstrip(".!?")
+        if joints != "clash":
+            verb, _, rest = y.partition(" ")
+            y = f"{_gerund(verb)} {rest}".strip()
+        text = self._r.choice(self._stock.words[language, joints])
+        if joints == "clash" and slot in ("speed", "gap", "overtake") and language == "en" and self._r.random() < 0.2:
+            text = "{x} and {y}"
+        return self._finish(text.replace("{x}", x).replace("{y}", y), first, {"outcome": "unclear"})
+
+    def _mumbled(self) -> Sample | None:
+        """A wish whose number was not to be heard."""
+        frame = self._r.choice(self._stock.words["en", "mumbled"])
+        sound = self._r.choice(self._stock.words["en", "mumble"])
+        return self._finish(frame.replace("{m}", sound), self._of("en", "outcome=unclear"))
+
+    def _gibberish(self) -> Sample | None:
+        """What sounds like a wish, of words that there are not."""
+        text = self._r.choice(self._stock.words["en", "gibberish"])
+        while "{g}" in text:
+            text = text.replace("{g}", "".join(self._r.choice(part) for part in _SYLLABLES), 1)
+        return self._finish(text, self._of("en", "outcome=unclear"))
 
     def _undecided(self) -> Sample | None:
         """Two different values of one slot, and no decision between them."""
@@ -383,6 +426,11 @@ class Generator:
             return " ".join(self._r.choice((w, *self._heard.get(w.lower(), (self._as_heard(w),)))) for w in words)
         if roll < 0.84:
             return self._as_texted(words, language)
+        if roll < 0.88:
+            return self._crackling(words) if self._r.random() < 0.4 else self._stumbling(words, language)
+        if roll < 0.92:  # hardly a word as it should be
+            return " ".join(self._r.choice((w, self._slip(w), self._slip(self._as_heard(w)), self._as_heard(w)))
+                            if len(w) > 2 else w for w in words)
         for _ in range(1 + len(text) // 30):
             text = self._slip(text)
         return text
@@ -409,6 +457,25 @@ class Generator:
                 else f" {word}"
         return text
 
+    def _stumbling(self, words: list[str], language: str) -> str:
+        """Hesitating at nearly every word."""
+        fillers = self._stock.words[language, "filler"]
+        said = [word for w in words for word in ((self._r.choice(fillers), w) if self._r.random() < 0.4 else (w,))]
+        return self._r.choice((" ", " ", "... ")).join(said)
+
+    def _crackling(self, words: list[str]) -> str:
+        """As over a bad line: noise between words, and one broken in two."""
+        noise = self._r.choice((("[crackle]", "[hiss]"), ("*static*", "*static*"), ("krrk", "kshh"), ("(noise)", "..."),
+                                ("bzzt", "bzzt"), ("...", "...")))
+        at = self._r.randrange(len(words))
+        word = words[at]
+        if len(word) > 4 and word.isalpha():
+            cut = self._r.randrange(2, len(word) - 1)
+            words = [*words[:at], f"{word[:cut]}...", self._r.choice(noise), f"...{word[cut:]}", *words[at + 1 :]]
+        for _ in range(self._r.randint(1, 2)):
+            words.insert(self._r.randrange(len(words) + 1), self._r.choice(noise))
+        return " ".join(words)
+
     def _as_heard(self, word: str) -> str:
         """A word written as it sounds."""
         for letters, sound in self._r.sample(_SOUNDS, len(_SOUNDS)):
@@ -431,6 +498,25 @@ class Generator:
         return text[:at] + self._r.choice(near) + text[at + 1 :]
 
 
+def _clash(one: str, other: str) -> bool:
+    """Whether no car can do both. Of two numbers, words have to say so, and those of `clash` do."""
+    if one == other:
+        return one in ("speed", "headway")  # kinds of numbers: two of them
+    return not {"delta", "limit"} & {one, other} and {one, other} not in (
+        {"slower", "stop"}, {"left", "leftmost"}, {"right", "rightmost"}, {"speed", "headway"})
+
+
+def _gerund(verb: str) -> str:
+    """"pass" to "passing", "close" to "closing", "stop" to "stopping"."""
+    if verb.endswith("e") and not verb.endswith(("ee", "oe", "be")):
+        return f"{verb[:-1]}ing"
+    if re.fullmatch(r"(?:\w*[^aeiou])?[aeiou][bdgmnpt]", verb) and not re.fullmatch(r"open|\w+en", verb):
+        return f"{verb}{verb[-1]}ing"
+    return f"{verb}ing"
+
+
+_SYLLABLES = (("b", "d", "fl", "g", "gr", "kl", "m", "pl", "sn", "squ", "thr", "w", "z"), ("a", "i", "o", "oo", "u"),
+              ("b", "dd", "ff", "mb", "nk", "pp", "rg", "zz"), ("le", "et", "ity", "o", "", "er", "ing"))
 _NO_ACCENTS = str.maketrans("àáâãäåçèéêëìíîïñòóôõöùúûü", "aaaaaaceeeeiiiinooooouuuu")
 _KEYS = {c: (row[max(i - 1, 0)] + row[min(i + 1, len(row) - 1)]).replace(c, "") or "e"
          for row in ("qwertyuiop", "asdfghjkl", "zxcvbnm") for i, c in enumerate(row)}

@@ -332,7 +332,7 @@ def save(network: Network, out: Path, check: Data, settings: dict[str, int]) -> 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=DELTA.parent)
-    parser.add_argument("--size", type=int, default=45_000)
+    parser.add_argument("--size", type=int, default=52_000)
     parser.add_argument("--epochs", type=int, default=4)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
