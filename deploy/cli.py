@@ -203,6 +203,9 @@ def study(
         help="Where cells, study.json and study.png go; finished cells are kept.")] = Path("runs/study"),
     algorithm: Annotated[list[str] | None, typer.Option(
         help="ours, ppo, dqn or a2c; may be repeated.", show_default="all")] = None,
+    variant: Annotated[list[str] | None, typer.Option(
+        help="Of the baselines: bare, masked (mask and directive), mask-only or wish-only; may be repeated.",
+        show_default="bare, masked")] = None,
     scenario: Annotated[list[str] | None, typer.Option(
         help="Roads; may be repeated.", show_default="highway, merge, two-way")] = None,
     seeds: Annotated[int | None, typer.Option(
@@ -219,6 +222,7 @@ def study(
     """Compare our learner with PPO, DQN and A2C over several seeds; run again to go on."""
     with _readable_ends():
         from deploy.study import ALGORITHMS, ROADS, run_search, run_study
+        from fast_node.mlp import VARIANTS
 
         if tune and (quick or "ours" in (algorithm or ())):
             raise ValueError("--tune is for the baselines: leave out --quick and --algorithm ours")
@@ -226,8 +230,9 @@ def study(
             code = run_search(out, algorithms=algorithm or ALGORITHMS[1:], scenarios=scenario or ROADS,
                               seeds=seeds or 1, steps=steps, jobs=jobs, as_json=as_json)
         else:
-            code = run_study(out, algorithms=algorithm or ALGORITHMS, scenarios=scenario or ROADS,
-                             seeds=range(seeds or 5), steps=steps, jobs=jobs, quick=quick, as_json=as_json)
+            code = run_study(out, algorithms=algorithm or ALGORITHMS, variants=variant or VARIANTS,
+                             scenarios=scenario or ROADS, seeds=range(seeds or 5), steps=steps, jobs=jobs, quick=quick,
+                             as_json=as_json)
     raise typer.Exit(code)
 
 

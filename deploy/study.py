@@ -3,7 +3,7 @@
 A cell is one training run of one algorithm on one road with one seed. Its learning curve is the mean return, without
 discount, of the greedy policy over `CURVE_SCENES` fixed scenes that no training run draws, the passenger in a hurry
 and one decision a second; the reward is everybody's. Then it drives evaluation seeds at 15 Hz. Baselines come `bare`,
-as published, and `masked`: see `fast_node.training.baselines`.
+as published, and `masked`, or with the parts of that: see `fast_node.training.baselines`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from deploy.evaluate import FIRST_SEED, by_the_second, by_the_tick, load, record, task_of, wilson95
 from deploy.training import BASELINE_SCENES, SCENES, mixed_scenes, scenes_of
 from fast_node.mask import VERSION as MASK_VERSION
-from fast_node.mlp import BASELINES, VARIANTS, load_mlp
+from fast_node.mlp import BASELINES, PARTS, VARIANTS, load_mlp, masked, told
 from fast_node.policy import load_policy
 from fast_node.training.rollout import Fleet
 from schemas.features import LAYOUT_HASH
@@ -77,20 +77,27 @@ class Cell:
 
     @property
     def masked(self) -> bool:
-        return self.variant != "bare"
+        return masked(self.variant)
+
+    @property
+    def obeyed(self) -> bool:
+        """Whether a wish closes what is against it."""
+        return masked(self.variant) and told(self.variant)
 
 
 def cells_of(
-    algorithms: Sequence[str], scenarios: Sequence[str], seeds: Sequence[int], steps: int, episodes: int = EPISODES
+    algorithms: Sequence[str], scenarios: Sequence[str], seeds: Sequence[int], steps: int, episodes: int = EPISODES,
+    variants: Sequence[str] = VARIANTS,
 ) -> list[Cell]:
     """The matrix, one seed of everything after the other. Raises ValueError for unknown names."""
-    for what, names, known in (("algorithm", algorithms, ALGORITHMS), ("scenario", scenarios, tuple(SCENARIOS))):
+    for what, names, known in (("algorithm", algorithms, ALGORITHMS), ("scenario", scenarios, tuple(SCENARIOS)),
+                              ("variant", variants, VARIANTS + PARTS)):
         for name in names:
             if name not in known:
                 raise ValueError(f"{what} {name!r} is not one of: {', '.join(known)}")
     return [Cell(algorithm, variant, scenario, seed, steps, episodes)
             for seed in seeds for scenario in scenarios for algorithm in algorithms
-            for variant in (("masked",) if algorithm == "ours" else VARIANTS)]
+            for variant in (("masked",) if algorithm == "ours" else variants)]
 
 
 # --- one cell -------------------------------------------------------------------------------------------------------
@@ -101,7 +108,8 @@ def run_cell(cell: Cell, folder: Path) -> dict[str, Any]:
     began = time.process_time()
     ours, out = cell.algorithm == "ours", folder / f"{cell.name}.safetensors"
     at_once = SCENES if ours else BASELINE_SCENES[cell.algorithm]
-    scenes = mixed_scenes([cell.scenario], cell.seed, scenes=at_once, hurried=not cell.masked, masked=cell.masked)
+    scenes = mixed_scenes([cell.scenario], cell.seed, scenes=at_once, hurried=not told(cell.variant),
+                          masked=cell.masked, obeyed=cell.obeyed)
     curve: list[tuple[int, float]] = []
 
     def watch(done: int, logits: Logits) -> None:
@@ -161,7 +169,7 @@ def finished(cell: Cell, folder: Path) -> dict[str, Any] | None:
 def curve_return(cell: Cell, logits: Logits) -> float:
     """Mean return of one episode in each of the fixed scenes, greedy."""
     scenes = scenes_of(SCENARIOS[cell.scenario], CURVE_SCENES, CURVE_SEED, CURVE_SEED, hurried=True,
-                       masked=cell.masked)
+                       masked=cell.masked, obeyed=cell.obeyed)
     returns, running = np.zeros(CURVE_SCENES), np.ones(CURVE_SCENES, np.bool_)
     while running.any():
         preferred = np.where(scenes.open(), logits(scenes.observe()), -np.inf)
@@ -179,7 +187,7 @@ def measured(cell: Cell, logits: Logits) -> dict[str, Any]:
     """
     scenario, n = SCENARIOS[cell.scenario], cell.episodes
     world = Batched(scenario, n, 0)
-    fleet = Fleet(world, task_of(scenario), masked=cell.masked)
+    fleet = Fleet(world, task_of(scenario), masked=cell.masked, obeyed=cell.obeyed)
     for i in range(n):
         load(fleet, scenario, i, FIRST_SEED + i, "hurry")
     step = by_the_tick(fleet, logits) if cell.masked else by_the_second(fleet, logits)
@@ -195,8 +203,9 @@ FIGURES = ("success", "ego_fault_collisions", "struck_collisions", "avg_speed", 
 
 
 def run_study(
-    out: Path, *, algorithms: Sequence[str] = ALGORITHMS, scenarios: Sequence[str] = ROADS,
-    seeds: Sequence[int] = SEEDS, steps: int = STEPS, jobs: int = 2, quick: bool = False, as_json: bool = False,
+    out: Path, *, algorithms: Sequence[str] = ALGORITHMS, variants: Sequence[str] = VARIANTS,
+    scenarios: Sequence[str] = ROADS, seeds: Sequence[int] = SEEDS, steps: int = STEPS, jobs: int = 2,
+    quick: bool = False, as_json: bool = False,
 ) -> int:
     """Run what is missing of the matrix, `jobs` cells side by side; write study.json and study.png; print the table.
 
@@ -207,7 +216,7 @@ def run_study(
     if quick:
         out = out / "quick"
         algorithms, scenarios, seeds, steps = ("ours",), (QUICK_SCENARIO,), QUICK_SEEDS, QUICK_STEPS
-    cells = cells_of(algorithms, scenarios, seeds, steps, EPISODES)
+    cells = cells_of(algorithms, scenarios, seeds, steps, EPISODES, variants)
     needed("torch", "train")
     needed("matplotlib", "train")
     if any(c.algorithm != "ours" for c in cells):

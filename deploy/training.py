@@ -42,19 +42,20 @@ class HurriedScenes(Scenes):
 
 def scenes_of(
     scenario: Scenario, scenes: int, world_seed: int, wish_seed: int, *, hurried: bool = False, masked: bool = True,
-    preset: str = "sim",
+    obeyed: bool | None = None, preset: str = "sim",
 ) -> Scenes:
-    """Scenes to learn or to be measured in: with random directives, or in a hurry; behind the mask, or not."""
+    """Scenes to learn or to be measured in: with random directives, or in a hurry; behind the mask, or not; where a
+    wish closes what is against it (as the mask does, by default), or not."""
     task = task_of(scenario, preset)
     if not hurried:
-        return Scenes(Batched(scenario, scenes, world_seed), task, wish_seed, masked=masked)
+        return Scenes(Batched(scenario, scenes, world_seed), task, wish_seed, masked=masked, obeyed=obeyed)
     task = replace(task, draw=partial(directed, "hurry", scenario))
-    return HurriedScenes(Batched(scenario, scenes, world_seed), task, wish_seed, masked=masked)
+    return HurriedScenes(Batched(scenario, scenes, world_seed), task, wish_seed, masked=masked, obeyed=obeyed)
 
 
 def mixed_scenes(
     scenarios: Sequence[str], seed: int, *, scenes: int = SCENES, after: int = 0, hurried: bool = False,
-    masked: bool = True, preset: str = "sim",
+    masked: bool = True, obeyed: bool | None = None, preset: str = "sim",
 ) -> Mixed:
     """What a run with this seed learns in; `after` so many decisions it has other worlds than before.
 
@@ -68,7 +69,7 @@ def mixed_scenes(
     each, fresh = max(scenes // len(scenarios), 1), 10**8 * after
     return Mixed([
         scenes_of(SCENARIOS[name], each, 10_000_000 + 1000 * seed + k + fresh, 1000 * seed + k + fresh,
-                  hurried=hurried, masked=masked, preset=preset)
+                  hurried=hurried, masked=masked, obeyed=obeyed, preset=preset)
         for k, name in enumerate(scenarios)])
 
 

@@ -20,8 +20,10 @@ Array = NDArray[np.float32]
 BASELINES = ("ppo", "dqn", "a2c")
 VARIANTS = ("bare", "masked")
 """As published, without mask and directive; or with both."""
+PARTS = ("mask-only", "wish-only")
+"""With one of them, to tell what it does."""
 WISH = tuple(FEATURES.index(name) for name in ("y_des", "v_des", "headway", "y_wished"))
-"""The directive's columns, of the ego's row: what a bare baseline does not get to see."""
+"""The directive's columns, of the ego's row: what a baseline that is not told of it does not get to see."""
 
 
 class MlpPolicy:
@@ -31,7 +33,7 @@ class MlpPolicy:
         self.sidecar = sidecar
         self._layers = [(np.ascontiguousarray(weights[f"{k}.weight"].T), weights[f"{k}.bias"])
                         for k in range(len(weights) // 2)]
-        if sidecar["variant"] == "bare":
+        if not told(str(sidecar["variant"])):
             first = self._layers[0][0].copy().reshape(N_ROWS, len(FEATURES), -1)
             first[0, WISH] = 0.0  # as if the wish itself were zero
             self._layers[0] = first.reshape(self._layers[0][0].shape), self._layers[0][1]
@@ -47,6 +49,16 @@ class MlpPolicy:
         return out
 
 
+def masked(variant: str) -> bool:
+    """Whether it learns and drives behind our mask."""
+    return variant in ("masked", "mask-only")
+
+
+def told(variant: str) -> bool:
+    """Whether it gets to see the directive."""
+    return variant in ("masked", "wish-only")
+
+
 def shipped(algorithm: str, variant: str) -> Path:
     """The baseline that is in the repository: learnt from seed 0 on the roads and the budget of our own policy."""
     return Path(__file__).parent / "checkpoints" / f"{algorithm}-{variant}.safetensors"
@@ -57,7 +69,7 @@ def load_mlp(path: Path) -> MlpPolicy:
     sidecar, weights = read_sidecar(path), read_weights(path)
     if sidecar.get("algorithm") not in BASELINES:
         raise ConfigError(f"{path.name} holds no baseline: train one with `fastslow train --algorithm`")
-    mask = None if sidecar.get("variant") == "bare" else MASK_VERSION
+    mask = MASK_VERSION if masked(str(sidecar.get("variant"))) else None
     for name, want in (("layout_hash", LAYOUT_HASH), ("mask", mask)):
         if sidecar.get(name) != want:
             raise ConfigError(f"{path.name} has {name} {sidecar.get(name)!r}, this code {want!r}: train it anew")

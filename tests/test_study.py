@@ -24,6 +24,7 @@ from deploy.study import (
     t_interval,
 )
 from deploy.training import mixed_scenes, train_policy
+from fast_node.mask import NOT_WISHED, OPEN
 from fast_node.mlp import WISH, load_mlp
 from fast_node.training.train import saved_state
 from schemas.features import FEATURES, LAYOUT_HASH, N_ROWS
@@ -106,6 +107,21 @@ def test_a_baseline_for_other_features_is_refused_with_the_fix(tmp_path: Path) -
     with pytest.raises(ConfigError, match="train it anew"):
         load_mlp(out)
 
+
+
+@pytest.mark.parametrize("variant", ["mask-only", "wish-only"])
+def test_half_a_baseline_is_learnt_measured_and_read_back(variant: str, tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    run_cell(Cell("a2c", variant, "two-way", 0, 256, 2), tmp_path)
+    sidecar = load_mlp(tmp_path / f"two-way-a2c-{variant}-0.safetensors").sidecar
+    assert (sidecar["variant"], sidecar["mask"] is None) == (variant, variant == "wish-only")
+
+
+def test_behind_the_mask_alone_a_wish_closes_nothing() -> None:
+    closed = {obeyed: mixed_scenes(["highway"], 0, scenes=32, hurried=True, obeyed=obeyed).parts[0].rule
+              for obeyed in (True, False)}
+    assert (closed[True] == NOT_WISHED).any()
+    assert np.array_equal(np.where(closed[True] == NOT_WISHED, OPEN, closed[True]), closed[False])
 
 
 def test_hurried_scenes_never_ask_for_anything_else() -> None:

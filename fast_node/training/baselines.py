@@ -1,11 +1,12 @@
 """PPO, A2C and DQN of stable-baselines3 on the very scenes that ours learns on (extra `baselines`).
 
 Tuned fairly: scaled rewards, our learning rate and discount, two layers of 128, DQN with a gradient
-step per four transitions. Two variants, which differ in their scenes and here:
+step per four transitions. The variants differ in their scenes and here:
 
 * `bare`, as published: no mask, and the wish's columns are zero. Its scenes should ask for one and the same thing.
 * `masked`: behind our mask, with the wish in their observation. They learn which actions are closed from what becomes
   of them (CRUISE, where that is open); when they drive, the best open one is taken, as of ours.
+* `mask-only`, `wish-only`: with one of the two. Behind the mask alone, no action is closed for a wish.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from fast_node.mask import VERSION as MASK_VERSION
-from fast_node.mlp import WISH, MlpPolicy, load_mlp
+from fast_node.mlp import WISH, MlpPolicy, load_mlp, masked, told
 from fast_node.training.rollout import Mixed
 from fast_node.training.train import Logits, conditions, random_inputs
 from schemas.features import BOUND, FEATURES, LAYOUT_HASH, N_ROWS, Array
@@ -63,7 +64,7 @@ class VecScenes(VecEnv):
     """`Mixed` scenes as stable-baselines3 wants them: flat observations (S, N*F), resets inside `step`."""
 
     def __init__(self, scenes: Mixed, variant: str) -> None:
-        self._scenes, self._bare = scenes, variant == "bare"
+        self._scenes, self._told = scenes, told(variant)
         self.episodes: list[tuple[float, bool]] = []
         """(return, crashed) of every finished episode."""
         x, self._open = scenes.observe()
@@ -72,7 +73,7 @@ class VecScenes(VecEnv):
 
     def _see(self) -> Array:
         x, self._open = self._scenes.observe()
-        if self._bare:
+        if not self._told:
             x[:, 0, WISH] = 0.0
         return x.reshape(len(x), -1)
 
@@ -158,7 +159,7 @@ def learn(
     metrics = {"episodic_return": round(float(np.mean([r for r, _ in last])), 4),
                "crash_rate": round(float(np.mean([c for _, c in last])), 4)} if last else {}
     export(model, out, {
-        **sidecar, "mask": None if variant == "bare" else MASK_VERSION, "steps": model.num_timesteps, "seed": seed,
+        **sidecar, "mask": MASK_VERSION if masked(variant) else None, "steps": model.num_timesteps, "seed": seed,
         **conditions(scenes), "learner": settings,
         "revision": revision(), "metrics": metrics})
     return metrics
@@ -182,7 +183,7 @@ def export(model: Any, out: Path, sidecar: dict[str, object], observations: int 
         "layout_hash": LAYOUT_HASH, "features": FEATURES, "width": WIDTH, **sidecar}, indent=1) + "\n")
     x = random_inputs(observations)
     seen = x.copy()
-    if sidecar["variant"] == "bare":
+    if not told(str(sidecar["variant"])):
         seen[:, 0, WISH] = 0.0
     flat = torch.from_numpy(seen.reshape(observations, -1))
     with torch.no_grad():

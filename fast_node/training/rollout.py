@@ -63,8 +63,8 @@ _ttc = numba.njit(measures.ttc_s)
 @numba.njit  # type: ignore[untyped-decorator]
 def _look_all(
     rows: Any, lanes: Any, target_speed: Any, target_lane: Any, previous: Any, sight: float, preset: mask.Preset,
-    told_lane: Any, pass_id: Any, v_des: Any, headway: Any, masked: bool, near: Any, rule: Any, vehicle: Any,
-    wish_lane: Any, ttc: Any, short: Any,
+    told_lane: Any, pass_id: Any, v_des: Any, headway: Any, masked: bool, obeyed: bool, near: Any,
+    rule: Any, vehicle: Any, wish_lane: Any, ttc: Any, short: Any,
 ) -> None:
     for s in range(rows.shape[0]):
         _close(rows[s], lanes[s], target_speed[s], target_lane[s], previous[s], sight, near[s], rule[s], vehicle[s],
@@ -72,7 +72,7 @@ def _look_all(
         if not masked:
             rule[s] = mask.OPEN
         wish_lane[s] = told_lane[s] if pass_id[s] < 0 else _wished_lane(rows[s], told_lane[s], pass_id[s])
-        if masked:
+        if obeyed:
             _narrow(rule[s], rows[s], near[s], lanes[s], target_speed[s], target_lane[s], previous[s], wish_lane[s],
                     v_des[s], headway[s])
         ttc[s] = TTC_CAP_S
@@ -146,10 +146,14 @@ class Task:
 
 
 class Fleet:
-    """S scenes of one task: what each ego sees, is asked for and may do now. Not `masked`: anything, always."""
+    """S scenes of one task: what each ego sees, is asked for and may do now.
 
-    def __init__(self, world: World, task: Task, *, masked: bool = True) -> None:
+    Not `masked`: anything, always. Not `obeyed`: a wish closes nothing; behind the mask it does, unless told otherwise.
+    """
+
+    def __init__(self, world: World, task: Task, *, masked: bool = True, obeyed: bool | None = None) -> None:
         self.world, self.task, self.masked = world, task, masked
+        self._obeyed = masked if obeyed is None else obeyed
         self._preset = mask.PRESETS[task.preset]
         s, n = len(world.rows), len(task.lanes)
         self.lanes = np.repeat(task.lanes[None], s, axis=0)
@@ -168,8 +172,8 @@ class Fleet:
         self.lanes[:, :, 0] = w.lane_y
         self._rows[:] = w.rows
         _look_all(self._rows, self.lanes, w.target_speed, w.target_lane, w.previous_lane, self.task.sight_m,
-                  self._preset, self.told_lane, self.pass_id, self.v_des, self.headway, self.masked, self._near,
-                  self.rule, self.vehicle, self.wish, self.ttc_s, self.short)
+                  self._preset, self.told_lane, self.pass_id, self.v_des, self.headway, self.masked, self._obeyed,
+                  self._near, self.rule, self.vehicle, self.wish, self.ttc_s, self.short)
 
     def observe(self) -> Array:
         """Policy input (S, N, F) of what `look` saw last."""
@@ -191,9 +195,10 @@ class Scenes(Fleet):
     """A fleet with random directives, stepped one decision at a time: what the learner learns in."""
 
     def __init__(
-        self, world: World, task: Task, seed: int, decision_ticks: int = DECISION_TICKS, *, masked: bool = True
+        self, world: World, task: Task, seed: int, decision_ticks: int = DECISION_TICKS, *, masked: bool = True,
+        obeyed: bool | None = None,
     ) -> None:
-        super().__init__(world, task, masked=masked)
+        super().__init__(world, task, masked=masked, obeyed=obeyed)
         self._rng = np.random.default_rng(seed)
         self._ticks = decision_ticks
         s = len(world.rows)
