@@ -412,6 +412,7 @@ def _mended(text: str) -> str:
     text = re.sub(r"(?<=\d)(?=hundred\b)|(?<=\band)(?=\d)", " ", text)
     text = re.sub(r"[a-z]{4,}", lambda m: _misspelled().get(m[0], m[0]), text)
     text = _ONES_SLIPPED.sub(lambda m: f"{m['tens'] or ''}{_ONES_AS_TYPED[m['one']]}", text)
+    text = re.sub(r"\b(?:tree|free|thre)(?=[ -]sec)", "three", text)
     text = re.sub(r"\bquatre[ -]vingts?(?=[ -])", "quatre-vingt", text)
     return re.sub(r"\bdix (?=(?:sept|huit|neuf)\b)", "dix-", text)
 

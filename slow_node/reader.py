@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from slow_node.directive import FAR_OVER_LIMIT
 from slow_node.embedding import Embedder, MiniLmEmbedder
 from slow_node.numbers import Quantity, fold, in_digits, quantities
 from slow_node.slots import LaneWish, Slots
@@ -31,6 +32,8 @@ HEADS: dict[str, tuple[str, ...]] = {
 }
 """Every head with its classes, the default first."""
 BUCKETS = 1 << 15
+NUMBER_SURE, NUMBER_DECIDES = 0.9, 0.1
+"""How certain it must be what a number is for, and how likely that anything is wanted, for the number to decide."""
 LIKELY = 0.2
 """A directive's wish must be this likely to be acted on where every slot is more likely unasked."""
 
@@ -78,6 +81,9 @@ class Reader:
         sure = float(probabilities["outcome"][chosen["outcome"]])
         refused = float(probabilities["outcome"][HEADS["outcome"].index("refused")])
         language = value["language"]
+        said = quantities(command)
+        if value["outcome"] == "unclear" and _decided_by_number(probabilities, value["number"], said):
+            value["outcome"], sure = "directive", float(probabilities["outcome"][0])
         if value["outcome"] != "directive":
             return Reading(Slots.model_validate({"outcome": value["outcome"], "language": language}), sure, refused)
         for name in HEADS:
@@ -89,7 +95,7 @@ class Reader:
             "cancel": value["cancel"] == "true", "language": language,
         })
         slots = on_the_side_said(slots, command)
-        slots = with_numbers(slots, value["number"], quantities(command), speed_mps, limit_mps)
+        slots = with_numbers(slots, value["number"], said, speed_mps, limit_mps)
         if slots.wishes_nothing():
             return self._likeliest(probabilities, language, refused)
         return Reading(slots, sure, refused)
@@ -121,6 +127,13 @@ class Reader:
             found[name] = part / part.sum()
             at += len(classes)
         return found
+
+
+def _decided_by_number(probabilities: dict[str, NDArray[np.float32]], role: str, said: list[Quantity]) -> bool:
+    """Whether what seems unclear names the one number that decides, and it is certain what that is for."""
+    kinds = {"speed": ("speed",), "headway": ("time", "length")}.get(role, ())
+    return (len(said) == 1 and said[0].kind in kinds and float(probabilities["number"].max()) > NUMBER_SURE
+            and float(probabilities["outcome"][HEADS["outcome"].index("directive")]) > NUMBER_DECIDES)
 
 
 _OPPOSITE: dict[str, LaneWish] = {"left": "right", "right": "left", "leftmost": "rightmost", "rightmost": "leftmost"}
@@ -160,6 +173,9 @@ def with_numbers(slots: Slots, role: str, said: list[Quantity], speed_mps: float
             target = speeds[-1]
         if times and (role == "headway" or len(times) == 1):
             headway = min(times[-1], 60.0)
+    elif (role == "none" and speeds and speeds[-1] > FAR_OVER_LIMIT * limit_mps
+          and (slots.speed == "faster" or slots.wishes_nothing())):
+        target = speeds[-1]  # what is to be refused, however unsure it is that it was asked for
     if target == 0.0:
         return slots.model_copy(update={"speed": "stop"})
     if target is not None:

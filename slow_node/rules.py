@@ -59,6 +59,10 @@ _HARM = re.compile("|".join((
     # the law on purpose
     rf"\b(?:ignor\w*|forget|break|disregard|exceed|screw|bypass|violate) (?:about )?(?:the |all |every |"
     rf"your |any |those |these )*{_RULES_EN}\b(?! (?:what|that))",
+    rf"\b(?:to hell with|sod|stuff|bugger|damn|blast|hang|never mind|who cares about) (?:the |all |every |your |any |"
+    rf"those |these )*{_RULES_EN}\b",
+    r"\b(?:do ?n[o']?t|dont|never|no) brak(?:e|ing)\b.{0,12}\b(?:who|what)ever (?:\w+ )?(?:step|walk|run|jump|come|get|"
+    r"turn)s?\b",
     r"\b(?:over|above|past|beyond|faster than) the (?:speed |legal )?limit",
     r"\b(?:ignorier\w*|vergiss|scheiss auf|missachte) (?:das |die |alle |deine )*(?:tempolimit|"
     r"geschwindigkeitsbe\w+|verkehrsregeln|regeln|ampel|sicherheit\w*)",
