@@ -129,7 +129,8 @@ def test_rules_refuse_harm_and_tampering(text: str) -> None:
     "no need to race that truck", "hit the gas",
     "kill that idea", "I have my eyes closed, I'm so scared", "there are horses on the verge",
     "we've run over a nail", "ramm bitte niemanden", "don't cross the solid line", "that truck blocks the view",
-    "don't brake whenever you see a leaf", "what the hell, slow down", "you don't have to stop for that", "go right through the village", "a box for the van", "get back up to eighty",
+    "don't brake whenever you see a leaf", "what the hell, slow down",
+    "you don't have to stop for that", "go right through the village", "a box for the van", "get back up to eighty",
 ])
 def test_rules_hear_no_harm_where_none_is_meant(text: str) -> None:
     assert not unsafe(text)
