@@ -130,20 +130,20 @@ def _slots(slots: Slots, scene: Scene) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def running_thinker(*, ask: Ask = "auto", k: int = 4, reader: bool = True, empty_bank: bool = False, threads: int = 1,
-                    memory_path: str = "", budget_s: float = 8.0) -> Iterator[Thinker]:
+                    adapter: bool = True, memory_path: str = "", budget_s: float = 8.0) -> Iterator[Thinker]:
     """A thinker and, where it may ask it, the embedded model's process. Raises `ConfigError`."""
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that the model ends with us
     model = choose_model()
     server: subprocess.Popen[bytes] | None = None
     try:
         if model.embedded and ask != "never":
-            server = embedded_server(model.port, threads)
+            server = embedded_server(model.port, threads, adapter=adapter)
             if server is None:
                 print("fastslow: the embedded model did not start; the reader answers alone", file=sys.stderr)
                 ask = "never"
         thinker, memory, _ = build_thinker(SlowConfig(
             base_url=model.base_url, model=model.name, embedded=model.embedded, memory_path=memory_path, ask=ask, k=k,
-            reader=reader, seeds=not empty_bank, budget_s=budget_s))
+            reader=reader, seeds=not empty_bank, adapter=adapter, budget_s=budget_s))
         try:
             yield thinker
         finally:
@@ -155,8 +155,8 @@ def running_thinker(*, ask: Ask = "auto", k: int = 4, reader: bool = True, empty
         signal.signal(signal.SIGTERM, before)
 
 
-def embedded_server(port: int, threads: int, *, polite: bool = False) -> subprocess.Popen[bytes] | None:
-    config = json.dumps({"port": port, "threads": threads, "polite": polite})
+def embedded_server(port: int, threads: int, *, adapter: bool, polite: bool = False) -> subprocess.Popen[bytes] | None:
+    config = json.dumps({"port": port, "threads": threads, "adapter": adapter, "polite": polite})
     server = subprocess.Popen([sys.executable, "-m", "slow_node.embedded", config], stderr=subprocess.DEVNULL)
     due = time.monotonic() + MODEL_START_S
     while time.monotonic() < due and server.poll() is None:
@@ -316,17 +316,20 @@ def score_set(name: str, *, as_json: bool, per_kind: int | None, output: str, **
     return OK
 
 
-MEMORIES = (("k = 0", 0, False), ("k = 2", 2, False), ("k = 4", 4, False), ("k = 4, empty bank", 4, True))
+MEMORIES = (("k = 0", 0, False, False), ("k = 2", 2, False, False), ("k = 4", 4, False, False),
+            ("k = 4, empty bank", 4, True, False), ("its adapter, k = 0", 0, False, True))
 
 
 def memory_experiment(*, as_json: bool, per_kind: int | None, threads: int) -> int:
-    """The language model alone, behind the rules, with 0, 2, 4 recalled examples and an empty bank. Exit code."""
+    """The language model alone, behind the rules: with 0, 2, 4 recalled examples, an empty bank, and its adapter, which
+    has learnt to do without examples. Exit code."""
     gold = labelled_set("dev", per_kind)
     found = []
-    for name, k, empty in MEMORIES:
+    for name, k, empty, adapter in MEMORIES:
         print(name, file=sys.stderr)
         try:
-            result = measure(gold, ask="always", reader=False, k=k, empty_bank=empty, threads=threads, budget_s=60.0)
+            result = measure(gold, ask="always", reader=False, k=k, empty_bank=empty, threads=threads,
+                             adapter=adapter, budget_s=60.0)
         except ConfigError as error:
             print(f"fastslow: {error}", file=sys.stderr)
             return CONFIG

@@ -16,6 +16,8 @@ class SlowConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     api_key_env: str = "OPENAI_API_KEY"
     embedded: bool = True
     """Short prompt and short answers, for a small model on one core; no key is sent."""
+    adapter: bool = True
+    """The embedded model has its adapter, and is asked as that has learnt it; False: with recalled examples."""
     memory_path: str = ""
     """SQLite file of the memory bank; empty: a bank that ends with the process."""
     budget_s: float = 8.0

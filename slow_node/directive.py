@@ -7,7 +7,7 @@ are in `slow_node.rules`, spoken numbers in `slow_node.numbers`. The safety mask
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from pydantic import ValidationError
@@ -57,8 +57,11 @@ class Refusal:
     outcome: Outcome = "refused"
 
 
-def parse_answer(text: str) -> Slots:
-    """The slots in a model's text, which may wrap its JSON object in prose. Raises `ParseError`."""
+def parse_answer(text: str, numbers: Mapping[str, float] | None = None) -> Slots:
+    """The slots in a model's text, which may wrap its JSON object in prose. Raises `ParseError`.
+
+    numbers: slots that a directive has besides, of a model that has learnt to leave them to others.
+    """
     start = text.find("{")
     if start < 0:
         raise ParseError("it contains no JSON object")
@@ -67,6 +70,8 @@ def parse_answer(text: str) -> Slots:
     except (ValueError, RecursionError):
         raise ParseError("its JSON object is broken or cut off") from None
     try:
+        if numbers and isinstance(value, dict) and value.get("outcome") == "directive":
+            value = {**value, **numbers}
         slots = Slots.model_validate(value)
     except ValidationError as error:
         first = error.errors()[0]

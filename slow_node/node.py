@@ -21,7 +21,7 @@ from slow_node.model import MAX_TOKENS, MAX_TOKENS_SHORT, ChatModel
 from slow_node.reader import Reader
 from slow_node.scene import describe, encode_scene
 from slow_node.seeds import SEEDS
-from slow_node.thinking import Thinker, Verdict
+from slow_node.thinking import Style, Thinker, Verdict
 
 NAME = "slow"
 POLL_S = 0.03
@@ -138,8 +138,8 @@ def build_thinker(config: SlowConfig) -> tuple[Thinker, Memory, ChatModel]:
                       max_tokens=MAX_TOKENS_SHORT if config.embedded else MAX_TOKENS)
     ask = config.ask if config.ask != "auto" else "unsure" if config.embedded else "always"
     reader = Reader.load(embedder) if config.reader else None
-    thinker = Thinker(memory, model, reader, short=config.embedded, k=config.k, budget_s=config.budget_s,
-                      ask=ask)
+    style: Style = "full" if not config.embedded else "adapted" if config.adapter else "short"
+    thinker = Thinker(memory, model, reader, style=style, k=config.k, budget_s=config.budget_s, ask=ask)
     return thinker, memory, model
 
 

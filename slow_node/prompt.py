@@ -50,6 +50,12 @@ def build_prompt(command: str, scene: str, examples: Sequence[Example], schema: 
     return chat
 
 
+def adapted_prompt(command: str) -> Chat:
+    """P_t for the embedded model with its adapter, which has learnt the rest: the command, and nothing to copy from."""
+    quoted = json.dumps(command.replace("<|", "< |"), ensure_ascii=False)  # nothing in it may end its turn
+    return [{"role": "system", "content": "Passenger's wish to JSON."}, {"role": "user", "content": quoted}]
+
+
 def repair_prompt(chat: Chat, answer: str, error: str) -> Chat:
     """The same chat with the refused answer and what is wrong with it."""
     return [

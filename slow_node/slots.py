@@ -53,6 +53,19 @@ class Slots(BaseModel):
         return json.dumps(self.model_dump(exclude_defaults=True), ensure_ascii=False, separators=(",", ":"))
 
 
+def adapted_schema() -> dict[str, Any]:
+    """JSON schema of what the embedded model's adapter has learnt to answer: only what was asked for, no numbers."""
+    properties: dict[str, Any] = {
+        "outcome": {"type": "string", "enum": ["directive", "refused", "out_of_scope", "unclear"]},
+        "speed": {"type": "string", "enum": ["faster", "slower", "keep", "stop"]},
+        "lane": {"type": "string", "enum": ["left", "right", "leftmost", "rightmost", "keep"]},
+        "gap": {"type": "string", "enum": ["closer", "farther", "keep"]},
+        "overtake": {"type": "boolean"},
+        "cancel": {"type": "boolean"},
+    }
+    return {"type": "object", "properties": properties, "required": ["outcome"], "additionalProperties": False}
+
+
 def answer_schema(short: bool) -> dict[str, Any]:
     """JSON schema of an answer. Short: unasked slots may be left out. Else all are required, as strict servers want."""
     properties: dict[str, Any] = {

@@ -280,7 +280,7 @@ def thought(server: FaultyServer, memory: Memory, veto: str = "") -> Verdict:
     scene = encode_scene(Observation(epoch=1, stamp_ns=0, tick=0, scenario="highway", lanes=lanes,
                                      rows=np.array([(0, 0, 0, 5, 0, 0, 5, 2, 0)], np.float32).tobytes()))
     model = ChatModel(server.url, "gpt-4o-mini", "")
-    thinker = Thinker(memory, model, None, short=False, k=4, budget_s=20.0, ask="always")
+    thinker = Thinker(memory, model, None, style="full", k=4, budget_s=20.0, ask="always")
 
     async def run() -> Verdict:
         verdict = await thinker.think("a gentle pace please", scene, veto=veto)

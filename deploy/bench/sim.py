@@ -153,7 +153,7 @@ def _loaded(load: str) -> Iterator[None]:
     from deploy.processes import Model, free_port
 
     port = free_port()
-    server = embedded_server(port, 1, polite=True)
+    server = embedded_server(port, 1, adapter=True, polite=True)
     if server is None:
         raise ConfigError("the embedded language model did not start: `fastslow doctor` says what is missing")
     try:
