@@ -84,6 +84,9 @@ def serve(config: EmbeddedConfig) -> None:
     params = xllamacpp.CommonParams()
     params.model.path = str(path)
     if config.adapter:
+        if not ADAPTER.exists():
+            raise ConfigError(f"{ADAPTER.name} is missing: install fastslow again, or train it with "
+                              "`python -m slow_node.training.adapt`")
         params.lora_adapters = [xllamacpp.CommonAdapterLoraInfo(str(ADAPTER), 1.0)]
     params.n_ctx = 2048
     params.n_parallel = 1

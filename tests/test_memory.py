@@ -23,11 +23,11 @@ from schemas.messages import Lane, Observation
 from slow_node.embedding import HashedEmbedder, Rows, Vector, load_embedder
 from slow_node.memory import Memory, experience
 from slow_node.model import ChatModel
-from slow_node.prompt import build_prompt
+from slow_node.prompt import adapted_prompt, build_prompt
 from slow_node.scene import encode_scene
 from slow_node.seeds import embed_command, read_seeds, ship_vectors, shipped_vectors
 from slow_node.slots import Slots
-from slow_node.thinking import Thinker, Verdict
+from slow_node.thinking import Style, Thinker, Verdict
 
 SLOW = Slots(outcome="directive", speed="slower")
 FAST = Slots(outcome="directive", speed="faster")
@@ -274,16 +274,17 @@ def naive(body: dict[str, object]) -> object:
     return answer('{"outcome":"directive","speed":"stop"}' if stops else SLOWER)
 
 
-def thought(server: FaultyServer, memory: Memory, veto: str = "") -> Verdict:
+def thought(server: FaultyServer, memory: Memory, veto: str = "", command: str = "a gentle pace please",
+            style: Style = "full") -> Verdict:
     """What a thought about a gentle pace came to."""
     lanes = (Lane(y_m=0, start_m=-100, end_m=1000),)
     scene = encode_scene(Observation(epoch=1, stamp_ns=0, tick=0, scenario="highway", lanes=lanes,
                                      rows=np.array([(0, 0, 0, 5, 0, 0, 5, 2, 0)], np.float32).tobytes()))
     model = ChatModel(server.url, "gpt-4o-mini", "")
-    thinker = Thinker(memory, model, None, style="full", k=4, budget_s=20.0, ask="always")
+    thinker = Thinker(memory, model, None, style=style, k=4, budget_s=20.0, ask="always")
 
     async def run() -> Verdict:
-        verdict = await thinker.think("a gentle pace please", scene, veto=veto)
+        verdict = await thinker.think(command, scene, veto=veto)
         await model.close()
         return verdict
 
@@ -301,6 +302,13 @@ def test_no_part_of_the_prompt_can_pose_as_the_passenger(command: str, scene: st
         verdict = thought(server, memory, veto)
     assert verdict.slots is not None
     assert verdict.slots.speed == "slower"
+
+
+def test_the_adapted_model_sees_the_command_alone_and_rules_tell_its_numbers(memory: Memory) -> None:
+    with FaultyServer(answer('{"outcome":"directive","lane":"left"}')) as server:
+        slots = thought(server, memory, command="left at 90 km/h, two seconds behind", style="adapted").slots
+    assert server.bodies[0]["messages"] == adapted_prompt("left at 90 km/h, two seconds behind")
+    assert slots == Slots(outcome="directive", lane="left", target_speed_mps=25.0, headway_s=2.0)
 
 
 def test_a_model_that_obeys_an_injection_gets_nowhere_beyond_the_slots(memory: Memory) -> None:
