@@ -27,6 +27,7 @@ from slow_node.evaluation.score import exam_texts, plain_text
 from slow_node.numbers import SPELLING_LANGUAGES, quantities, spelled
 from slow_node.reader import HEADS, with_numbers
 from slow_node.slots import Slots
+from slow_node.training.noise import Noise
 
 LIMIT_MPS = 33.0
 """Of the scene for which the phrases are labelled."""
@@ -93,11 +94,6 @@ def load_stock(folder: Path = PHRASES) -> Stock:
     return stock
 
 
-def _misspellings(lines: list[str]) -> dict[str, list[str]]:
-    """From lines "word: spelling, spelling"."""
-    return {word: spellings.split(", ") for word, _, spellings in (line.partition(": ") for line in lines)}
-
-
 _OPTIONAL = re.compile(r"\[[^\[\]]*\]")
 _CHOICE = re.compile(r"\(([^()\[\]]*\|[^()\[\]]*)\)|\[([^()\[\]]*)\]")
 _TAILGATING = re.compile(r"tailgat|bumper|backside|behind him|gap|metre|half a second|bother|limit|allowed|legal|"
@@ -123,8 +119,7 @@ class Generator:
                         and slots.get("overtake") != "false" and (frame.imperative or frame.language != "en")):
                     self._plain[frame.language].append(frame)
         self._imperatives = [f for f in stock.frames if f.imperative]
-        self._heard = _misspellings(stock.words["en", "heard"])
-        self._chat = {language: _misspellings(stock.words[language, "chat"]) for language in (*LANGUAGES, "other")}
+        self._noise = Noise(self._r, stock.words)
         self._opposed: dict[tuple[str, str], list[Frame]] = defaultdict(list)
         for frame in stock.frames:
             slots = {k: v for k, v in frame.label if k != "outcome"}
@@ -362,8 +357,7 @@ class Generator:
     def _gibberish(self) -> Sample | None:
         """What sounds like a wish, of words that there are not."""
         text = self._r.choice(self._stock.words["en", "gibberish"])
-        while "{g}" in text:
-            text = text.replace("{g}", "".join(self._r.choice(part) for part in _SYLLABLES), 1)
+        text = re.sub(r"\{g\}", lambda _: "".join(self._r.choice(part) for part in _SYLLABLES), text)
         return self._finish(text, self._of("en", "outcome=unclear"))
 
     def _undecided(self) -> Sample | None:
@@ -391,111 +385,7 @@ class Generator:
         full = {name: label.get(name, HEADS[name][0]) for name in HEADS}
         if full["outcome"] != "directive":
             full |= {name: HEADS[name][0] for name in SLOT_NAMES}
-        return Sample(text if polish else self._noisy(self._cased(text, frame.language), frame.language),
-                      frame.language, full)
-
-    def _cased(self, text: str, language: str) -> str:
-        roll = self._r.random()
-        if roll < 0.45:
-            text = text[:1].upper() + text[1:]
-            return text if text[-1] in ".!?" else text + self._r.choice((".", ".", ".", "!", "?", "", ""))
-        if roll < 0.48:
-            return text.upper()
-        if roll < 0.75:
-            return text.lower()
-        return text
-
-    def _noisy(self, text: str, language: str) -> str:
-        """Slips of the finger and of the ear, hesitations, missing accents, chat shorthand, lost vowels and spaces."""
-        roll = self._r.random()
-        if language == "other":
-            return self._slip(text) if roll > 0.85 and text.isascii() else text
-        if roll < 0.54:
-            return text
-        words = text.split(" ")
-        if roll < 0.59 and self._stock.words[language, "filler"]:
-            words.insert(self._r.randrange(len(words) + 1), self._r.choice(self._stock.words[language, "filler"]))
-            return " ".join(words)
-        if roll < 0.61:  # a stutter
-            at = self._r.randrange(len(words))
-            return " ".join([*words[: at + 1], *words[at:]])
-        if roll < 0.68:
-            text = text.translate(_NO_ACCENTS)
-            return re.sub(r"[^\w\s']", "", text).lower()
-        if language == "en" and roll < 0.76:
-            return " ".join(self._r.choice((w, *self._heard.get(w.lower(), (self._as_heard(w),)))) for w in words)
-        if roll < 0.84:
-            return self._as_texted(words, language)
-        if roll < 0.88:
-            return self._crackling(words) if self._r.random() < 0.4 else self._stumbling(words, language)
-        if roll < 0.92:  # hardly a word as it should be
-            return " ".join(self._r.choice((w, self._slip(w), self._slip(self._as_heard(w)), self._as_heard(w)))
-                            if len(w) > 2 else w for w in words)
-        for _ in range(1 + len(text) // 30):
-            text = self._slip(text)
-        return text
-
-    def _as_texted(self, words: list[str], language: str) -> str:
-        """A message typed in haste: shorthand, lost vowels, letters out of order, words run together."""
-        chat = self._chat[language]
-        typed = []
-        for word in words:
-            roll, bare = self._r.random(), word.lower().strip(".,!?")
-            if bare in chat and roll < 0.7:
-                typed.append(self._r.choice(chat[bare]))
-            elif bare.isalpha() and len(bare) > 3 and roll < 0.22:
-                typed.append(bare[0] + re.sub(r"[aeiou](?=\w)", "", bare[1:]))
-            elif bare.isalpha() and len(bare) > 3 and roll < 0.5:
-                at = self._r.randrange(1, len(bare) - 1)
-                typed.append(bare[:at] + bare[at + 1] + bare[at] + bare[at + 2 :])
-            else:
-                typed.append(word)
-        text = typed[0]
-        glue = self._r.random() < 0.4
-        for word in typed[1:]:
-            text += word if glue and self._r.random() < 0.4 and not (text[-1].isdigit() or word[:1].isdigit()) \
-                else f" {word}"
-        return text
-
-    def _stumbling(self, words: list[str], language: str) -> str:
-        """Hesitating at nearly every word."""
-        fillers = self._stock.words[language, "filler"]
-        said = [word for w in words for word in ((self._r.choice(fillers), w) if self._r.random() < 0.4 else (w,))]
-        return self._r.choice((" ", " ", "... ")).join(said)
-
-    def _crackling(self, words: list[str]) -> str:
-        """As over a bad line: noise between words, and one broken in two."""
-        noise = self._r.choice((("[crackle]", "[hiss]"), ("*static*", "*static*"), ("krrk", "kshh"), ("(noise)", "..."),
-                                ("bzzt", "bzzt"), ("...", "...")))
-        at = self._r.randrange(len(words))
-        word = words[at]
-        if len(word) > 4 and word.isalpha():
-            cut = self._r.randrange(2, len(word) - 1)
-            words = [*words[:at], f"{word[:cut]}...", self._r.choice(noise), f"...{word[cut:]}", *words[at + 1 :]]
-        for _ in range(self._r.randint(1, 2)):
-            words.insert(self._r.randrange(len(words) + 1), self._r.choice(noise))
-        return " ".join(words)
-
-    def _as_heard(self, word: str) -> str:
-        """A word written as it sounds."""
-        for letters, sound in self._r.sample(_SOUNDS, len(_SOUNDS)):
-            if letters in word:
-                return word.replace(letters, sound, 1)
-        return word
-
-    def _slip(self, text: str) -> str:
-        places = [i for i, c in enumerate(text[:-1]) if c.isalpha() and text[i + 1].isalpha()]
-        if not places:
-            return text
-        at, kind = self._r.choice(places), self._r.randrange(4)
-        if kind == 0:
-            return text[:at] + text[at + 1] + text[at] + text[at + 2 :]
-        if kind == 1:
-            return text[:at] + text[at + 1 :]
-        if kind == 2:
-            return text[: at + 1] + text[at:]
-        near = _KEYS.get(text[at].lower(), "e")
-        return text[:at] + self._r.choice(near) + text[at + 1 :]
+        return Sample(text if polish else self._noise.heard(text, frame.language), frame.language, full)
 
 
 def _clash(one: str, other: str) -> bool:
@@ -517,12 +407,6 @@ def _gerund(verb: str) -> str:
 
 _SYLLABLES = (("b", "d", "fl", "g", "gr", "kl", "m", "pl", "sn", "squ", "thr", "w", "z"), ("a", "i", "o", "oo", "u"),
               ("b", "dd", "ff", "mb", "nk", "pp", "rg", "zz"), ("le", "et", "ity", "o", "", "er", "ing"))
-_NO_ACCENTS = str.maketrans("àáâãäåçèéêëìíîïñòóôõöùúûü", "aaaaaaceeeeiiiinooooouuuu")
-_KEYS = {c: (row[max(i - 1, 0)] + row[min(i + 1, len(row) - 1)]).replace(c, "") or "e"
-         for row in ("qwertyuiop", "asdfghjkl", "zxcvbnm") for i, c in enumerate(row)}
-_SOUNDS = (("ck", "k"), ("ce", "se"), ("ee", "ea"), ("ea", "ee"), ("ss", "s"), ("ll", "l"), ("ght", "te"), ("ph", "f"),
-           ("er", "a"), ("ing", "in"), ("th", "d"), ("wh", "w"), ("cc", "k"), ("oo", "u"), ("ai", "ay"), ("ke", "k"),
-           ("ed", "t"), ("ou", "ow"), ("tt", "t"), ("le", "el"), ("s", "z"), ("c", "k"), ("e", ""))
 _SPEED_UNITS: dict[str, tuple[str, ...]] = {
     "en": (" km/h", " kmh", " kph", " kilometres per hour", " kilometers an hour", " k", " mph", " miles an hour",
            " miles per hour", " m/s", " meters per second", " knots", " clicks", "km/h", "mph"),
