@@ -99,7 +99,7 @@ async def interpret(thinker: Thinker, text: str, scene: Scene) -> dict[str, Any]
         "text": text,
         "outcome": outcome,
         "directive": _directive(plan) if isinstance(plan, Plan) else None,
-        "slots": _slots(slots, scene) if outcome == "directive" else dict(NO_SLOTS),
+        "slots": slots.labelled(scene.limit_mps) if outcome == "directive" else dict(NO_SLOTS),
         "say": plan.say,
         "reasoning": slots.reasoning or verdict.why,
         "latency_s": round(latency, 4),
@@ -112,20 +112,6 @@ async def interpret(thinker: Thinker, text: str, scene: Scene) -> dict[str, Any]
 def _directive(plan: Plan) -> dict[str, Any]:
     return {"manoeuvre": plan.manoeuvre, "target_lane": plan.target_lane, "target_speed_mps": plan.target_speed_mps,
             "headway_s": plan.headway_s, "style": plan.style}
-
-
-def _slots(slots: Slots, scene: Scene) -> dict[str, Any]:
-    """The passenger's wish, "none" as null and a speed over the limit clamped to it."""
-    target = slots.target_speed_mps
-    return {
-        "speed": None if slots.speed == "none" else slots.speed,
-        "target_speed_mps": None if target is None else round(min(target, scene.limit_mps), 2),
-        "lane": None if slots.lane == "none" else slots.lane,
-        "gap": None if slots.gap == "none" else slots.gap,
-        "headway_s": None if slots.headway_s is None else round(slots.headway_s, 2),
-        "overtake": slots.overtake,
-        "cancel": slots.cancel,
-    }
 
 
 @contextlib.contextmanager

@@ -48,6 +48,15 @@ class Slots(BaseModel):
         """A directive that asks for nothing at all."""
         return self.decision() == Slots(outcome="directive").decision()
 
+    def labelled(self, limit_mps: float) -> dict[str, object]:
+        """As the labelled sets have it: "none" as null, and a speed [m/s] over the limit clamped to it."""
+        asked = self.model_dump(include={"speed", "target_speed_mps", "lane", "gap", "headway_s", "overtake", "cancel"})
+        if self.target_speed_mps is not None:
+            asked["target_speed_mps"] = round(min(self.target_speed_mps, limit_mps), 2)
+        if self.headway_s is not None:
+            asked["headway_s"] = round(self.headway_s, 2)
+        return {slot: None if value == "none" else value for slot, value in asked.items()}
+
     def compact(self) -> str:
         """JSON of the slots that differ from their defaults: the shortest answer worth imitating."""
         return json.dumps(self.model_dump(exclude_defaults=True), ensure_ascii=False, separators=(",", ":"))

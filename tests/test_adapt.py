@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import random
-import socket
 import urllib.request
 from collections.abc import Iterator
 from typing import Any
@@ -14,6 +13,7 @@ import pytest
 import torch
 
 from deploy.interpret import embedded_server
+from deploy.processes import free_port
 from slow_node.embedded import weights_path
 from slow_node.prompt import adapted_prompt
 from slow_node.training.adapt import END, Llama, answer_of, batches, loss_of, rendered, tokenizer_of
@@ -31,9 +31,7 @@ def reader() -> Any:
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[str]:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     process = embedded_server(port, 1, adapter=False)
     assert process is not None
     yield f"http://127.0.0.1:{port}"

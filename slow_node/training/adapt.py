@@ -5,7 +5,8 @@
 One thread, an hour and a half: a pass over new commands, and another over others at half the rate. The weights are
 those of the package, taken out of their four bits; what is written is the adapter that llama.cpp loads beside them.
 The model learns to answer `prompt.adapted_prompt` with the JSON of the slots that were asked for, without their
-numbers, which rules read better. Needs `gguf` (extra `train`).
+numbers, which rules read better. Needs `gguf` (extra `train`). The network is our own because what turns an adapter of
+transformers and peft into llama.cpp's is a script that no package has.
 """
 
 from __future__ import annotations
@@ -34,15 +35,12 @@ from torch.nn import functional
 from slow_node.embedded import ADAPTER, weights_path
 from slow_node.evaluation.score import exam_texts, plain_text
 from slow_node.prompt import adapted_prompt
-from slow_node.reader import HEADS
-from slow_node.slots import Slots
-from slow_node.training.generate import Generator, Sample, load_stock
+from slow_node.training.generate import Generator, Sample, load_stock, slots_of
 from slow_node.training.train import split
 
 RANK, ALPHA = 16, 32.0
 TARGETS = ("attn_q", "attn_k", "attn_v", "attn_output", "ffn_gate", "ffn_up", "ffn_down")
 BATCH, LEARNING_RATE, WARM_UP = 24, 1e-3, 40
-NOT_TOLD = ("number", "language")
 START, END = "<|im_start|>", "<|im_end|>"
 
 
@@ -71,11 +69,10 @@ class Llama(nn.Module):
         def number(name: str) -> Any:
             return metadata(reader, f"llama.{name}")
 
-        self.layers, self.heads = number("block_count"), number("attention.head_count")
-        self.kv_heads, self.eps = number("attention.head_count_kv"), number("attention.layer_norm_rms_epsilon")
+        self.layers, self.eps = number("block_count"), number("attention.layer_norm_rms_epsilon")
         self.w = {t.name: torch.from_numpy(np.array(gguf.quants.dequantize(t.data, t.tensor_type), np.float32))
                   for t in reader.tensors}
-        width = number("embedding_length") // self.heads
+        width = number("rope.dimension_count")
         self.turns = number("rope.freq_base") ** (-torch.arange(0, width, 2) / width)
         self.delta = nn.ParameterDict()
         for name, weight in self.w.items():
@@ -125,9 +122,7 @@ class Llama(nn.Module):
 
 def answer_of(label: dict[str, str]) -> str:
     """What the model is to say: the slots that were asked for, without numbers."""
-    asked = {k: v for k, v in label.items() if k == "outcome" or (k not in NOT_TOLD and v != HEADS[k][0])}
-    slots = {k: v == "true" if k in ("overtake", "cancel") else v for k, v in asked.items()}
-    return Slots.model_validate(slots).compact()
+    return slots_of(label).compact()
 
 
 def rendered(text: str) -> str:

@@ -430,6 +430,12 @@ _TIME_UNITS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }
 
 
+def slots_of(label: Label) -> Slots:
+    """What a label asks for, but for its numbers, which the text has."""
+    asked = {k: v for k, v in label.items() if k not in ("number", "language") and (k == "outcome" or v != HEADS[k][0])}
+    return Slots.model_validate({k: v == "true" if k in ("overtake", "cancel") else v for k, v in asked.items()})
+
+
 def in_scenes(samples: list[Sample], seed: int) -> Iterator[dict[str, object]]:
     """Labelled commands, each in a scene of its own: speed and traffic are drawn, numbers are resolved against them.
 
@@ -442,20 +448,11 @@ def in_scenes(samples: list[Sample], seed: int) -> Iterator[dict[str, object]]:
                      "speed_mps": round(r.uniform(0.6, 1.0) * speed, 1)}]
         vehicles += [{"lane": r.choice((0, 2, 3)), "gap_m": round(r.choice((-1.0, 1.0)) * r.uniform(5.0, 100.0), 1),
                       "speed_mps": round(r.uniform(0.7, 1.2) * speed, 1)} for _ in range(r.randrange(5))]
-        said = {k: v for k, v in sample.label.items() if v != HEADS[k][0]}
-        known = {k: v == "true" if k in ("overtake", "cancel") else v for k, v in said.items()
-                 if k not in ("number", "language")}
-        slots = with_numbers(Slots.model_validate({"outcome": sample.label["outcome"], **known}),
-                             sample.label["number"], quantities(sample.text), speed, LIMIT_MPS)
-        target = slots.target_speed_mps
+        slots = with_numbers(slots_of(sample.label), sample.label["number"], quantities(sample.text), speed, LIMIT_MPS)
         yield {
             "id": f"g{number}", "text": sample.text, "language": sample.language,
             "scene": {"lanes": 4, "ego_lane": 1, "speed_mps": speed, "limit_mps": LIMIT_MPS, "vehicles": vehicles},
-            "outcome": slots.outcome, "slots": {
-                "speed": None if slots.speed == "none" else slots.speed,
-                "target_speed_mps": None if target is None else round(min(target, LIMIT_MPS), 2),
-                "lane": None if slots.lane == "none" else slots.lane, "gap": None if slots.gap == "none" else slots.gap,
-                "headway_s": slots.headway_s, "overtake": slots.overtake, "cancel": slots.cancel}}
+            "outcome": slots.outcome, "slots": slots.labelled(LIMIT_MPS)}
 
 
 def seeds(stock: Stock, seed: int) -> Iterator[dict[str, object]]:
@@ -474,11 +471,8 @@ def seeds(stock: Stock, seed: int) -> Iterator[dict[str, object]]:
         others = 0 if language != "en" or "number" in dict(label) else min(len(frames) // 20, 8)
         for frame in [*frames[:plain], *r.sample(frames[plain:], min(others, len(frames[plain:])))]:
             text = generator.plain(frame)
-            known = {k: v for k, v in label if k != "number"}
-            if known.get("overtake"):
-                known["overtake"] = known["overtake"] == "true"  # type: ignore[assignment]
-            slots = with_numbers(Slots.model_validate(known), dict(label).get("number", "none"),
-                quantities(text), 25, 33)
+            known = dict(label)
+            slots = with_numbers(slots_of(known), known.get("number", "none"), quantities(text), 25, 33)
             heard = [f"{k} {v}" for k, v in slots.model_dump(exclude_defaults=True, exclude={"outcome"}).items()]
             reason = {"refused": "dangerous or against the rules", "out_of_scope": "not about how the car drives",
                       "unclear": "cannot be told: ask"}.get(slots.outcome, "wants " + ", ".join(heard))
