@@ -401,7 +401,7 @@ _ONES_AS_TYPED = {
 _ONES_SLIPPED = re.compile(
     r"\b(?P<tens>(?:twenty|thirty|forty|fifty|sixty|seventy|eighty|ninety)[ -])?"
     rf"(?P<one>{'|'.join(sorted(_ONES_AS_TYPED, key=len, reverse=True))})"
-    r"\b(?(tens)|(?=[ -]s[eco]{1,3}\w{0,3}s\b))")
+    r"\b(?(tens)|(?=[ -](?:sec|scon|seoc)))")
 """After a ten ("ninety fiv"), or before seconds."""
 
 
@@ -412,7 +412,6 @@ def _mended(text: str) -> str:
     text = re.sub(r"(?<=\d)(?=hundred\b)|(?<=\band)(?=\d)", " ", text)
     text = re.sub(r"[a-z]{4,}", lambda m: _misspelled().get(m[0], m[0]), text)
     text = _ONES_SLIPPED.sub(lambda m: f"{m['tens'] or ''}{_ONES_AS_TYPED[m['one']]}", text)
-    text = re.sub(r"\b(?:tree|free|thre)(?=[ -]sec)", "three", text)
     text = re.sub(r"\bquatre[ -]vingts?(?=[ -])", "quatre-vingt", text)
     return re.sub(r"\bdix (?=(?:sept|huit|neuf)\b)", "dix-", text)
 
