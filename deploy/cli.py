@@ -222,13 +222,13 @@ def study(
     """Compare our learner with PPO, DQN and A2C over several seeds; run again to go on."""
     with _readable_ends():
         from deploy.study import ALGORITHMS, ROADS, run_search, run_study
-        from fast_node.mlp import VARIANTS
+        from fast_node.mlp import BASELINES, VARIANTS
 
-        if tune and (quick or "ours" in (algorithm or ())):
-            raise ValueError("--tune is for the baselines: leave out --quick and --algorithm ours")
+        if tune and quick:
+            raise ValueError("--tune and --quick are two things: leave one out")
         if tune:
-            code = run_search(out, algorithms=algorithm or ALGORITHMS[1:], scenarios=scenario or ROADS,
-                              seeds=seeds or 1, steps=steps, jobs=jobs, as_json=as_json)
+            code = run_search(out, algorithms=algorithm or BASELINES, variants=variant or VARIANTS,
+                              scenarios=scenario or ROADS, seeds=seeds or 1, steps=steps, jobs=jobs, as_json=as_json)
         else:
             code = run_study(out, algorithms=algorithm or ALGORITHMS, variants=variant or VARIANTS,
                              scenarios=scenario or ROADS, seeds=range(seeds or 5), steps=steps, jobs=jobs, quick=quick,

@@ -237,19 +237,22 @@ def run_study(
     return int(reached < QUICK_RETURN)
 
 
-def run_search(out: Path, *, algorithms: Sequence[str] = BASELINES, scenarios: Sequence[str] = ROADS, seeds: int = 1,
-               steps: int = STEPS, jobs: int = 2, as_json: bool = False) -> int:
+def run_search(out: Path, *, algorithms: Sequence[str] = BASELINES, scenarios: Sequence[str] = ROADS,
+               variants: Sequence[str] = VARIANTS, seeds: int = 1, steps: int = STEPS, jobs: int = 2,
+               as_json: bool = False) -> int:
     """Try each baseline's `TRIALS` on seeds that the study does not use, and say which settings earn most.
 
-    Writes `out`/search.json and prints the table. Raises ValueError for unknown names, and `ConfigError` for a package
-    that is missing.
+    Writes `out`/search.json and prints the table. Raises ValueError for unknown names and for ours, which has no
+    trials, and `ConfigError` for a package that is missing.
     """
+    if "ours" in algorithms:
+        raise ValueError("the search is for the baselines: leave ours out")
     needed("torch", "train")
     needed("stable_baselines3", "baselines")
     from fast_node.training.baselines import CHOSEN, TRIALS
 
-    plain = cells_of(algorithms, scenarios, [SEARCH_SEED + k for k in range(seeds)], steps)
-    cells = [replace(cell, trial=trial) for cell in plain for trial in TRIALS.get(cell.algorithm, ())]
+    plain = cells_of(algorithms, scenarios, [SEARCH_SEED + k for k in range(seeds)], steps, variants=variants)
+    cells = [replace(cell, trial=trial) for cell in plain for trial in TRIALS[cell.algorithm]]
     results = run_cells(cells, out / "cells", jobs)
     rows = search_rows(results)
     search = {"schema": SEARCH_SCHEMA, "cells": results, "rows": rows}
@@ -264,11 +267,11 @@ def search_rows(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     for r in results:
         where = groups.setdefault((r["algorithm"], r["trial"]), {})
         where.setdefault(f"{r['scenario']} {r['variant']}", []).append(r["curve"][-1][1])
-    rows = [{"algorithm": algorithm, "trial": trial, "runs": sum(map(len, where.values())),
-             "returns": {place: mean(some) for place, some in where.items()},
-             "return": mean(mean(some) for some in where.values())} for (algorithm, trial), where in groups.items()]
-    order = {algorithm: k for k, algorithm in enumerate(ALGORITHMS)}
-    return sorted(rows, key=lambda row: (order[str(row["algorithm"])], -float(str(row["return"]))))
+    rows: list[dict[str, Any]] = [
+        {"algorithm": algorithm, "trial": trial, "runs": sum(map(len, where.values())),
+         "returns": {place: mean(some) for place, some in where.items()},
+         "return": mean(mean(some) for some in where.values())} for (algorithm, trial), where in groups.items()]
+    return sorted(rows, key=lambda row: (ALGORITHMS.index(row["algorithm"]), -row["return"]))
 
 
 def search_table(rows: Sequence[dict[str, Any]], chosen: dict[str, str]) -> str:
