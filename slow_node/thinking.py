@@ -26,9 +26,8 @@ FROM_MEMORY_COSINE = 0.6
 FROM_MEMORY_WHY = "model unavailable: answered from memory"
 FROM_READER_WHY = "model unavailable: answered by the reader"
 SURE = 0.15
-"""From this confidence on, the reader's word is taken without asking the embedded model: with its adapter that was
-right in 13 of the 22 commands that the reader was less than 60 % sure of, the reader in 17 (of 260 of the development
-set)."""
+"""From this confidence on, the reader's word is taken without asking the embedded model, which is right less often:
+docs/understanding.md."""
 REFUSE = 0.4
 """From this probability on, a command is refused, whatever else the reader or the language model make of it."""
 EMBEDDED_BUDGET_S = 2.5
