@@ -162,6 +162,7 @@ def doctor(port: Port = _PORT, as_json: Json = False) -> None:
 
 @app.command(epilog="Examples:\n\n  fastslow train\n\n"
                     "  fastslow train --scenario highway --steps 20000 --seed 1 --out mine.safetensors\n\n"
+                    "  fastslow train --start mine.safetensors --learning-rate 1e-4 --scenario merge\n\n"
                     "  fastslow train --algorithm ppo --bare --out runs/ppo-bare.safetensors\n\n" + _EXITS)
 def train(
     out: Annotated[Path, typer.Option(help="Where the policy goes, with a JSON sidecar beside it.")] = Path(
@@ -173,11 +174,16 @@ def train(
     seed: Annotated[int, typer.Option(min=0, help="Of the network, the traffic and the directives.")] = 0,
     resume: Annotated[bool, typer.Option(
         "--resume", help="Go on where an interrupted run to --out was last saved, in new traffic.")] = False,
+    start: Annotated[Path | None, typer.Option(
+        metavar="FILE", help="Begin with the network of another run's policy, beside which its .train.pt lies.",
+        show_default="a random one")] = None,
+    learning_rate: Annotated[float | None, typer.Option(
+        min=0.0, help="At the start; it falls to a tenth.", show_default="0.0005")] = None,
     mask_preset: Annotated[str, typer.Option(
         help="What the mask assumes of others, in training and in driving: sim or cautious.")] = "sim",
     algorithm: Annotated[str, typer.Option(
-        help="ours; or a baseline for comparison: ppo, dqn or a2c, which can neither resume nor choose a preset.")] = (
-        "ours"),
+        help="ours; or a baseline for comparison: ppo, dqn or a2c, for which --resume, --start, --learning-rate and "
+             "--mask-preset are not.")] = "ours",
     bare: Annotated[bool, typer.Option(
         "--bare", help="A baseline as published: no mask, no directive.")] = False,
 ) -> None:
@@ -185,13 +191,18 @@ def train(
     roads = scenario or ["highway", "merge", "two-way"]
     if algorithm == "ours" and bare:
         raise typer.BadParameter("only a baseline: choose one by --algorithm", param_hint="'--bare'")
-    if algorithm != "ours" and (resume or mask_preset != "sim"):
-        raise typer.BadParameter("not for a baseline", param_hint="'--resume'" if resume else "'--mask-preset'")
+    ours_only = {"--resume": resume, "--start": start, "--learning-rate": learning_rate,
+                 "--mask-preset": mask_preset != "sim"}
+    if algorithm != "ours" and (given := [option for option, value in ours_only.items() if value]):
+        raise typer.BadParameter("not for a baseline", param_hint=f"'{given[0]}'")
+    if resume and start:
+        raise typer.BadParameter("a resumed run has begun already: leave one out", param_hint="'--start'")
     with _readable_ends():
         from deploy.training import train_baseline, train_policy
 
-        figures = (train_policy(out, roads, steps, seed, resume=resume, preset=mask_preset) if algorithm == "ours"
-                   else train_baseline(algorithm, out, roads, steps, seed, bare=bare))
+        figures = (train_policy(out, roads, steps, seed, lr=learning_rate, resume=resume, start=start,
+                                preset=mask_preset)
+                   if algorithm == "ours" else train_baseline(algorithm, out, roads, steps, seed, bare=bare))
     told = [f"{name} {figures[name]:.3g}" for name in ("episodic_return", "crash_rate") if name in figures]
     typer.echo(": ".join((str(out), *told)), err=True)
 

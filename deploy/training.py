@@ -97,15 +97,23 @@ def _progress_bar() -> Progress:
 
 
 def train_policy(
-    out: Path, scenarios: Sequence[str], steps: int, seed: int, *, resume: bool = False, preset: str = "sim",
+    out: Path, scenarios: Sequence[str], steps: int, seed: int, *, lr: float | None = None, resume: bool = False,
+    start: Path | None = None, preset: str = "sim",
 ) -> dict[str, float]:
     """Train one policy on these scenarios and export it, with a progress bar on stderr.
 
-    `resume` goes on where an interrupted run to the same `out` was last saved, in new worlds. Raises ImportError
-    without extra `train`, ValueError for an unknown scenario or preset, `ConfigError` where there is nothing to resume.
+    lr: the learning rate that falls to a tenth, by default the paper's. `resume` goes on where an interrupted run to
+    the same `out` was last saved, in new worlds; `start` begins with the network of another run. Raises ImportError
+    without extra `train`, ValueError for an unknown scenario or preset, `ConfigError` where there is nothing to go on
+    from.
     """
+    from fast_node.training.learner import LearnerConfig
     from fast_node.training.train import saved_state, train
 
+    config = LearnerConfig() if lr is None else LearnerConfig(lr=lr)
+
+    if start is not None:
+        saved_state(start)  # or says that there is none, before any progress is shown
     after = saved_state(out)["steps"] if resume else 0
     scenes = mixed_scenes(scenarios, seed, after=after, preset=preset)
     with _progress_bar() as bar:
@@ -115,4 +123,4 @@ def train_policy(
             text = f"return {figures['episodic_return']:.2f} crashes {figures['crash_rate']:.1%}"
             bar.update(task, completed=done, description=text)
 
-        return train(scenes, out, steps=steps, seed=seed, progress=progress, resume=resume)
+        return train(scenes, out, steps=steps, seed=seed, progress=progress, config=config, resume=resume, start=start)

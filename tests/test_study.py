@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from deploy import study
+from deploy.cli import app
 from deploy.study import (
     Cell,
     cells_of,
@@ -149,6 +151,45 @@ def test_a_resumed_training_goes_on_where_it_was_saved_and_says_so(tmp_path: Pat
     sidecar = json.loads(out.with_suffix(".json").read_text())
     assert (sidecar["steps"], sidecar["resumed_at"]) == (2048, [1024])
     assert [row["global_step"] for row in progress_of(out)] == ["1024", "2048"]
+
+
+def test_a_training_that_starts_from_another_begins_with_its_network_and_says_so(tmp_path: Path) -> None:
+    first, then = tmp_path / "first.safetensors", tmp_path / "then.safetensors"
+    train_policy(first, ["two-way"], 1024, 0)
+    train_policy(then, ["merge"], 1024, 7, lr=0.0, start=first)
+    assert then.read_bytes() == first.read_bytes()
+    start = json.loads(then.with_suffix(".json").read_text())["start"]
+    assert (start["steps"], start["seed"], start["scenarios"]) == (1024, 0, ["two-way"])
+
+
+def test_a_started_training_can_be_resumed(tmp_path: Path) -> None:
+    first, then = tmp_path / "first.safetensors", tmp_path / "then.safetensors"
+    train_policy(first, ["two-way"], 1024, 0)
+    train_policy(then, ["merge"], 1024, 0, start=first)
+    train_policy(then, ["merge"], 2048, 0, resume=True)
+    assert json.loads(then.with_suffix(".json").read_text())["start"]["scenarios"] == ["two-way"]
+
+
+def test_a_training_does_not_start_from_a_policy_without_its_state_or_of_another_mask(tmp_path: Path) -> None:
+    import torch
+
+    first, then = tmp_path / "first.safetensors", tmp_path / "then.safetensors"
+    with pytest.raises(ConfigError, match=r"no first\.train\.pt.*--start"):
+        train_policy(then, ["merge"], 1024, 0, start=first)
+    train_policy(first, ["two-way"], 1024, 0)
+    state = saved_state(first)
+    state["run"]["mask"] = "mask/0"
+    torch.save(state, first.with_suffix(".train.pt"))
+    with pytest.raises(ConfigError, match=r"mask/0.*train it anew"):
+        train_policy(then, ["merge"], 1024, 0, start=first)
+
+
+@pytest.mark.parametrize(("given", "named"), [
+    (["--resume", "--start", "p.safetensors"], "--start"), (["--algorithm", "ppo", "--resume"], "--resume"),
+    (["--algorithm", "a2c", "--learning-rate", "0.1"], "--learning-rate"), (["--bare"], "--bare")])
+def test_options_of_a_training_that_exclude_each_other_are_a_usage_error(given: list[str], named: str) -> None:
+    result = CliRunner().invoke(app, ["train", *given, "--steps", "1024"])
+    assert (result.exit_code, f"'{named}'" in result.stderr) == (2, True)
 
 
 def test_every_update_is_logged_under_cleanrls_names(tmp_path: Path) -> None:

@@ -71,15 +71,17 @@ Logits = Callable[[Array], Array]
 
 def train(
     scenes: Mixed, out: Path, *, steps: int, seed: int, progress: Callable[[int, dict[str, float]], None],
-    config: LearnerConfig | None = None, resume: bool = False, watch: Callable[[int, Logits], None] = lambda *_: None,
+    config: LearnerConfig | None = None, resume: bool = False, start: Path | None = None,
+    watch: Callable[[int, Logits], None] = lambda *_: None,
 ) -> dict[str, float]:
     """Train for `steps` decisions and export to `out` (.safetensors). Returns the last figures.
 
     The learning rate falls linearly to a tenth: the policy that is exported is the last one. Beside `out` lie its
     sidecar (.json), the figures of every update (.progress.csv and, where tensorboard is installed, .tensorboard/) and
     the state to resume from (.train.pt). A resumed run goes on with network, optimizer, generators and step count; the
-    worlds are the caller's, and start new episodes. `watch` is called with the decisions made so far and the policy of
-    that moment, before the first and after each. Raises `ConfigError` for a state that is not this run's.
+    worlds are the caller's, and start new episodes. `start` is the policy of another run, whose network this one begins
+    with, instead of a random one. `watch` is called with the decisions made so far and the policy of that moment,
+    before the first and after each. Raises `ConfigError` for a state that is not this run's, or not of this code.
     """
     torch.manual_seed(seed)
     torch.set_num_threads(1)
@@ -91,12 +93,21 @@ def train(
            "lr_schedule": {"shape": "linear", "end": LR_END}, "mask_preset": scenes.parts[0].task.preset,
            "mask": MASK_VERSION, "layout_hash": LAYOUT_HASH}
     done, resumed_at = 0, list[int]()
+    if start is not None:
+        other = saved_state(start)
+        for name in ("layout_hash", "mask"):
+            if (found := other["run"].get(name)) != run[name]:
+                raise ConfigError(f"{start.name} has {name} {found!r}, this code {run[name]!r}: train it anew")
+        net.load_state_dict(other["net"])
+        run["start"] = {"steps": other["steps"], **other["run"]}
     if resume:
         saved = saved_state(out)
+        run |= {k: v for k, v in saved["run"].items() if k == "start"}
         done, resumed_at = saved["steps"], [*saved["resumed_at"], saved["steps"]]
         if (was := saved["run"]) != run:
-            other = [f"{k} {was.get(k)!r}, not {run.get(k)!r}" for k in {**was, **run} if was.get(k) != run.get(k)]
-            raise ConfigError(f"{out.name} was trained with {'; '.join(other)}: resume it with the same, or train anew")
+            differs = [f"{k} {was.get(k)!r}, not {run.get(k)!r}" for k in {**was, **run} if was.get(k) != run.get(k)]
+            raise ConfigError(
+                f"{out.name} was trained with {'; '.join(differs)}: resume it with the same, or train anew")
         if done >= steps:
             raise ConfigError(f"{out.name} has learnt from {done} decisions already: resume it with more --steps")
         net.load_state_dict(saved["net"])
@@ -213,10 +224,10 @@ def random_inputs(observations: int) -> Array:
 
 
 def saved_state(out: Path) -> dict[str, Any]:
-    """What `train` left beside `out` to resume from; "steps": how far it got. Raises `ConfigError` without it."""
+    """What `train` left beside `out` to go on from; "steps": how far it got. Raises `ConfigError` without it."""
     path = out.with_suffix(".train.pt")
     if not path.exists():
-        raise ConfigError(f"there is no {path.name} beside {out.name} to resume from: train without --resume")
+        raise ConfigError(f"there is no {path.name} beside {out.name} to go on from: train without --resume or --start")
     state: dict[str, Any] = torch.load(path, weights_only=True)
     return state
 
