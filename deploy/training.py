@@ -111,9 +111,7 @@ def train_policy(
     from fast_node.training.train import saved_state, train
 
     config = LearnerConfig() if lr is None else LearnerConfig(lr=lr)
-
-    if start is not None:
-        saved_state(start)  # or says that there is none, before any progress is shown
+    begin = None if start is None else saved_state(start)
     after = saved_state(out)["steps"] if resume else 0
     scenes = mixed_scenes(scenarios, seed, after=after, preset=preset)
     with _progress_bar() as bar:
@@ -123,4 +121,4 @@ def train_policy(
             text = f"return {figures['episodic_return']:.2f} crashes {figures['crash_rate']:.1%}"
             bar.update(task, completed=done, description=text)
 
-        return train(scenes, out, steps=steps, seed=seed, progress=progress, config=config, resume=resume, start=start)
+        return train(scenes, out, steps=steps, seed=seed, progress=progress, config=config, resume=resume, start=begin)

@@ -71,7 +71,7 @@ Logits = Callable[[Array], Array]
 
 def train(
     scenes: Mixed, out: Path, *, steps: int, seed: int, progress: Callable[[int, dict[str, float]], None],
-    config: LearnerConfig | None = None, resume: bool = False, start: Path | None = None,
+    config: LearnerConfig | None = None, resume: bool = False, start: dict[str, Any] | None = None,
     watch: Callable[[int, Logits], None] = lambda *_: None,
 ) -> dict[str, float]:
     """Train for `steps` decisions and export to `out` (.safetensors). Returns the last figures.
@@ -79,8 +79,8 @@ def train(
     The learning rate falls linearly to a tenth: the policy that is exported is the last one. Beside `out` lie its
     sidecar (.json), the figures of every update (.progress.csv and, where tensorboard is installed, .tensorboard/) and
     the state to resume from (.train.pt). A resumed run goes on with network, optimizer, generators and step count; the
-    worlds are the caller's, and start new episodes. `start` is the policy of another run, whose network this one begins
-    with, instead of a random one. `watch` is called with the decisions made so far and the policy of that moment,
+    worlds are the caller's, and start new episodes. `start` is the `saved_state` of another run, with whose network this
+    one begins, instead of a random one. `watch` is called with the decisions made so far and the policy of that moment,
     before the first and after each. Raises `ConfigError` for a state that is not this run's, or not of this code.
     """
     torch.manual_seed(seed)
@@ -94,12 +94,12 @@ def train(
            "mask": MASK_VERSION, "layout_hash": LAYOUT_HASH}
     done, resumed_at = 0, list[int]()
     if start is not None:
-        other = saved_state(start)
         for name in ("layout_hash", "mask"):
-            if (found := other["run"].get(name)) != run[name]:
-                raise ConfigError(f"{start.name} has {name} {found!r}, this code {run[name]!r}: train it anew")
-        net.load_state_dict(other["net"])
-        run["start"] = {"steps": other["steps"], **other["run"]}
+            if (found := start["run"].get(name)) != run[name]:
+                raise ConfigError(
+                    f"the run to start from has {name} {found!r}, this code {run[name]!r}: train it anew")
+        net.load_state_dict(start["net"])
+        run["start"] = {"steps": start["steps"], **start["run"]}
     if resume:
         saved = saved_state(out)
         run |= {k: v for k, v in saved["run"].items() if k == "start"}
