@@ -80,5 +80,3 @@ def test_only_the_tokens_of_the_answer_count_and_each_is_told_from_those_before_
 
 def test_numbers_are_left_to_the_rules() -> None:
     assert answer_of({**FASTER, "speed": "none", "number": "speed"}) == '{"outcome":"directive"}'
-
-
