@@ -79,7 +79,7 @@ def train(
     The learning rate falls linearly to a tenth: the policy that is exported is the last one. Beside `out` lie its
     sidecar (.json), the figures of every update (.progress.csv and, where tensorboard is installed, .tensorboard/) and
     the state to resume from (.train.pt). A resumed run goes on with network, optimizer, generators and step count; the
-    worlds are the caller's, and start new episodes. `start` is the `saved_state` of another run, with whose network this
+    worlds are the caller's, and start new episodes. `start`: `saved_state` of another run, with whose network this
     one begins, instead of a random one. `watch` is called with the decisions made so far and the policy of that moment,
     before the first and after each. Raises `ConfigError` for a state that is not this run's, or not of this code.
     """
