@@ -19,7 +19,7 @@ from schemas.measures import CAR_LENGTH_M, gap_m, rss_lateral_m, rss_opposite_m,
 from schemas.messages import Lane, MetaAction
 from schemas.wish import BEHIND_M
 
-VERSION = "mask/6"
+VERSION = "mask/7"
 """Of what `close_actions` and `choice` compute; tests/test_mask.py holds the code against it. A policy learns behind
 one version and drives behind no other."""
 
@@ -74,7 +74,7 @@ CREEP_MPS = 5.0
 IDM_GAP_M, IDM_TIME_S, IDM_ACCEL, IDM_BRAKE = 5.0, 1.5, 3.0, 5.0
 CUT_IN_MPS = 0.3
 CUT_IN_S = 2.0
-"""A car moving sideways at least this fast counts as being where it will be after this time, too."""
+"""A car moving sideways at least this fast counts as being wherever it comes by within this time, too."""
 COMES_OUT_M = 150.0
 """This near to the end of its lane a car may come out of it at any time."""
 ASKEW = 0.1
@@ -180,7 +180,7 @@ def survey(rows: Any, lanes: Any, near: Any) -> None:
         elif row[4] < -CUT_IN_MPS:
             other = lane - 1
         if other != lane and (other < 0 or other >= n_lanes or row[1] < lanes[other][1]
-                              or abs(row[2] + CUT_IN_S * row[4] - lanes[other][0]) > 0.5 * lanes[other][4]):
+                              or abs(lanes[other][0] - row[2]) - CUT_IN_S * abs(row[4]) > 0.5 * lanes[other][4]):
             other = lane
         if other == lane and lane > 0 and lanes[lane][2] < longest and row[1] > lanes[lane][6] and (
                 row[1] > lanes[lane][2] - COMES_OUT_M):
@@ -342,7 +342,7 @@ def close_actions(
             towards * ego[4], -towards * row[4], p.reaction_s, p.side_accel, p.side_brake, p.sway_m)
         in_lane = int(row[8]) == target_lane
         if not in_lane and row[4] * (lane_y - row[2]) > 0.0 and abs(row[4]) > CUT_IN_MPS:
-            in_lane = abs(row[2] + CUT_IN_S * row[4] - lane_y) < 0.5 * (row[7] + ego[7])
+            in_lane = abs(lane_y - row[2]) - CUT_IN_S * abs(row[4]) < 0.5 * (row[7] + ego[7])
         if not overlap and not in_lane:
             continue
         gap = gap_m(x, row[1], length, row[6])
@@ -398,6 +398,17 @@ def close_actions(
                 for a in range(3):
                     if rule[a] == OPEN:
                         rule[a], vehicle[a] = GIVE_UP_CHANGE, behind
+
+    # One that cannot be given up is finished, and not at a crawl: who is behind there expects the ego to drive on.
+    if previous_lane >= 0 and rule[back] != OPEN and lanes[target_lane][3] > 0:
+        behind = near[3 * target_lane + 1]
+        if behind >= 0 and v < rows[behind][3]:
+            gap = gap_m(rows[behind][1], x, rows[behind][6], length)
+            if gap < follower_gap(rows[behind][3], v, True, p):
+                if rule[CRUISE] == OPEN and rule[SPEED_UP] == OPEN and target_speed < CREEP_MPS:
+                    rule[CRUISE], vehicle[CRUISE] = REAR_GAP, behind
+                if rule[SLOW_DOWN] == OPEN and (rule[CRUISE] == OPEN or rule[SPEED_UP] == OPEN):
+                    rule[SLOW_DOWN], vehicle[SLOW_DOWN] = REAR_GAP, behind
 
     # In the oncoming lane: finish the pass while that is possible, otherwise drop back behind the lead.
     if away:
