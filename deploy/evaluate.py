@@ -81,13 +81,14 @@ AGENTS: dict[str, str] = {
     "cruise": "never acts", "faster": "always speeds up", "slower": "always slows down",
     "left": "always wants left", "right": "always wants right",
     "brake": "stops at once", "random": "draws an action every second",
+    "random-masked": "the same, behind the mask",
     **{f"{name}-bare": f"{name.upper()} as published, one decision a second" for name in BASELINES},
     **{f"{name}-masked": f"{name.upper()} with our directives, behind our mask" for name in BASELINES},
 }
 """What drives, by name."""
-MASKED = ("ours", "rule", *(f"{name}-masked" for name in BASELINES))
+MASKED = ("ours", "rule", "random-masked", *(f"{name}-masked" for name in BASELINES))
 """Those behind the mask."""
-USE_OURS = ("ours-unmasked", "rule")
+USE_OURS = ("ours-unmasked", "rule", "random-masked")
 """Those that a checkpoint of ours changes, too: it brings the mask's preset."""
 LANGUAGE: dict[str, str] = {
     "dilu-paused": "a language model alone, one decision a second (DiLu's method); the world waits while it thinks",
@@ -189,7 +190,7 @@ def drive(
         logits = policy.logits
     elif agent == "rule":
         logits = rule_logits
-    elif agent == "random":
+    elif agent in ("random", "random-masked"):
         logits = uniform(0)
     else:
         logits = constant(_CONSTANT.get(agent, MetaAction.CRUISE))

@@ -138,8 +138,8 @@ def run_cell(cell: Cell, folder: Path) -> dict[str, Any]:
 
 
 def _identity(cell: Cell) -> dict[str, Any]:
-    return {**asdict(cell), "layout_hash": LAYOUT_HASH, "mask": MASK_VERSION if cell.masked else None,
-            "learner": learner_of(cell)}
+    # Of the mask without it, too: whom it takes to be ahead decides about the reward's headway and time to collision.
+    return {**asdict(cell), "layout_hash": LAYOUT_HASH, "mask": MASK_VERSION, "learner": learner_of(cell)}
 
 
 def learner_of(cell: Cell) -> dict[str, Any]:

@@ -77,6 +77,11 @@ def test_no_scene_is_trivial_and_none_is_hopeless(name: str) -> None:
     assert np.mean(survived) >= scenario.expect.survivable
 
 
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_even_random_actions_never_collide_behind_the_mask(name: str) -> None:
+    assert not any(e.collided for e in drive("random-masked", SCENARIOS[name], range(1000, 1020)))
+
+
 def test_idm_survives_where_cruising_does_not() -> None:
     assert not any(r.collided for r in drive("idm", SCENARIOS["highway"], range(1000, 1030)))
 

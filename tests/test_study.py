@@ -258,6 +258,18 @@ def test_a_cell_that_was_run_with_other_settings_of_the_baseline_is_run_again(
     assert finished(cell, tmp_path) is None
 
 
+@pytest.mark.parametrize("variant", ["bare", "masked"])
+def test_a_cell_of_another_version_of_the_mask_is_run_again_for_the_reward_depends_on_it_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str
+) -> None:
+    pytest.importorskip("stable_baselines3")
+    cell = Cell("a2c", variant, "two-way", 0, 256, 2)
+    run_cell(cell, tmp_path)
+    assert finished(cell, tmp_path)
+    monkeypatch.setattr(study, "MASK_VERSION", "mask/0")
+    assert finished(cell, tmp_path) is None
+
+
 def test_the_search_tells_trials_apart_and_puts_the_one_that_earns_most_first() -> None:
     found = [{**result("a2c", earned, variant=variant), "trial": trial} for trial, variant, earned in (
         ("start", "bare", 1.0), ("start", "masked", 2.0), ("gae", "bare", 4.0), ("gae", "masked", 1.0))]
