@@ -36,12 +36,10 @@ def narrow(
 
     Something milder than braking stays open. rows, near, lanes: as `mask.close_actions` has them.
     """
-    others = 0
-    for a in range(POLICY_ACTIONS):
-        if a != LEFT and rule[a] == OPEN:
-            others += 1
-    if others > 0 and rule[LEFT] == OPEN and lanes[target_lane - 1][3] < 0 and wish_lane != target_lane - 1:
-        rule[LEFT] = NOT_WISHED
+    if rule[LEFT] == OPEN and lanes[target_lane - 1][3] < 0 and wish_lane != target_lane - 1:
+        for a in range(POLICY_ACTIONS):
+            if a != LEFT and rule[a] == OPEN:
+                rule[LEFT] = NOT_WISHED
     longest = 0.0
     for k in range(len(lanes)):
         longest = max(longest, lanes[k][2])

@@ -379,7 +379,6 @@ def close_actions(
         room = lanes[previous_lane][2] - END_M - x
         late = left > 0.0 and room < max(v * (0.4 + 0.45 * left), 2.2 * left)
         must_stop = must_stop or (late and stop <= room < stop + v / 15.0 + 1.0)
-        back = LEFT if previous_lane < target_lane else RIGHT
         if rule[back] == OPEN and room < stop + v:
             rule[back] = LANE_ENDS
     if must_stop:
@@ -387,28 +386,22 @@ def close_actions(
             if rule[a] == OPEN:
                 rule[a] = LANE_ENDS
 
-    # A change that a car behind has made unsafe is given up while the ego is still more in the lane that it leaves.
-    if previous_lane >= 0 and int(ego[8]) == previous_lane and lanes[target_lane][3] > 0:
-        behind = near[3 * target_lane + 1]
-        back = LEFT if previous_lane < target_lane else RIGHT
-        if behind >= 0 and rule[back] == OPEN:
-            gap = gap_m(rows[behind][1], x, rows[behind][6], length)
-            if gap < rss_same_direction_m(
-                    rows[behind][3], v, p.reaction_s, 0.0, p.follower_brake, p.ego_brake) + 1.0:
+    # A change that a car behind has made unsafe is given up while the ego is still more in the lane that it leaves. One
+    # that cannot be given up is finished, and not at a crawl: who is behind there expects the ego to drive on.
+    behind = near[3 * target_lane + 1]
+    if previous_lane >= 0 and behind >= 0 and lanes[target_lane][3] > 0:
+        gap = gap_m(rows[behind][1], x, rows[behind][6], length)
+        if rule[back] == OPEN:
+            if int(ego[8]) == previous_lane and gap < 1.0 + rss_same_direction_m(
+                    rows[behind][3], v, p.reaction_s, 0.0, p.follower_brake, p.ego_brake):
                 for a in range(3):
                     if rule[a] == OPEN:
                         rule[a], vehicle[a] = GIVE_UP_CHANGE, behind
-
-    # One that cannot be given up is finished, and not at a crawl: who is behind there expects the ego to drive on.
-    if previous_lane >= 0 and rule[back] != OPEN and lanes[target_lane][3] > 0:
-        behind = near[3 * target_lane + 1]
-        if behind >= 0 and v < rows[behind][3]:
-            gap = gap_m(rows[behind][1], x, rows[behind][6], length)
-            if gap < follower_gap(rows[behind][3], v, True, p):
-                if rule[CRUISE] == OPEN and rule[SPEED_UP] == OPEN and target_speed < CREEP_MPS:
-                    rule[CRUISE], vehicle[CRUISE] = REAR_GAP, behind
-                if rule[SLOW_DOWN] == OPEN and (rule[CRUISE] == OPEN or rule[SPEED_UP] == OPEN):
-                    rule[SLOW_DOWN], vehicle[SLOW_DOWN] = REAR_GAP, behind
+        elif v < rows[behind][3] and gap < follower_gap(rows[behind][3], v, True, p):
+            if rule[CRUISE] == OPEN and rule[SPEED_UP] == OPEN and target_speed < CREEP_MPS:
+                rule[CRUISE], vehicle[CRUISE] = REAR_GAP, behind
+            if rule[SLOW_DOWN] == OPEN and (rule[CRUISE] == OPEN or rule[SPEED_UP] == OPEN):
+                rule[SLOW_DOWN], vehicle[SLOW_DOWN] = REAR_GAP, behind
 
     # In the oncoming lane: finish the pass while that is possible, otherwise drop back behind the lead.
     if away:
