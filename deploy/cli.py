@@ -191,11 +191,11 @@ def train(
     roads = scenario or ["highway", "merge", "two-way"]
     if algorithm == "ours" and bare:
         raise typer.BadParameter("only a baseline: choose one by --algorithm", param_hint="'--bare'")
-    ours_only = {"--resume": resume, "--start": start, "--learning-rate": learning_rate,
+    ours_only = {"--resume": resume, "--start": start is not None, "--learning-rate": learning_rate is not None,
                  "--mask-preset": mask_preset != "sim"}
-    if algorithm != "ours" and (given := [option for option, value in ours_only.items() if value]):
+    if algorithm != "ours" and (given := [option for option, chosen in ours_only.items() if chosen]):
         raise typer.BadParameter("not for a baseline", param_hint=f"'{given[0]}'")
-    if resume and start:
+    if resume and start is not None:
         raise typer.BadParameter("a resumed run has begun already: leave one out", param_hint="'--start'")
     with _readable_ends():
         from deploy.training import train_baseline, train_policy

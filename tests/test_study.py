@@ -186,7 +186,7 @@ def test_a_training_does_not_start_from_a_policy_without_its_state_or_of_another
 
 @pytest.mark.parametrize(("given", "named"), [
     (["--resume", "--start", "p.safetensors"], "--start"), (["--algorithm", "ppo", "--resume"], "--resume"),
-    (["--algorithm", "a2c", "--learning-rate", "0.1"], "--learning-rate"), (["--bare"], "--bare")])
+    (["--algorithm", "a2c", "--learning-rate", "0"], "--learning-rate"), (["--bare"], "--bare")])
 def test_options_of_a_training_that_exclude_each_other_are_a_usage_error(given: list[str], named: str) -> None:
     result = CliRunner().invoke(app, ["train", *given, "--steps", "1024"])
     assert (result.exit_code, f"'{named}'" in result.stderr) == (2, True)
