@@ -20,7 +20,7 @@ from schemas.messages import Lane, MetaAction
 from schemas.wish import BEHIND_M
 
 VERSION = "mask/7"
-"""Of what `close_actions` and `choice` compute; tests/test_mask.py holds the code against it. A policy learns behind
+"""Of what `close_actions` and `choice` compute; tests hold a digest of what they do to it. A policy learns behind
 one version and drives behind no other."""
 
 SLOW_DOWN, CRUISE, SPEED_UP, LEFT, RIGHT, BRAKE = (int(a) for a in MetaAction)
