@@ -47,7 +47,7 @@ baselines: setup
 
 # The README's picture, after the policy has changed.
 picture: setup
-	$(BIN)/python -m deploy.lockstep docs/run.png
+	$(BIN)/python -m deploy.lab.lockstep docs/run.png
 
 check: setup
 	$(BIN)/ruff check .

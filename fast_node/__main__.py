@@ -15,12 +15,12 @@ import numpy as np
 from fast_node import node as node_module
 from fast_node.config import FastConfig
 from fast_node.node import FastNode
-from fast_node.policy import SHIPPED, load_policy
-from schemas import topics
-from schemas.bus import open_bus
-from schemas.messages import ROW_COLUMNS, Lane, Observation
-from schemas.process import Heartbeat, Trace, load_config, log, run_node
-from schemas.realtime import claim, may_poll
+from fast_node.policies.attention import SHIPPED, load_policy
+from schemas.runtime.bus import open_bus
+from schemas.runtime.process import Heartbeat, Trace, load_config, log, run_node
+from schemas.runtime.realtime import claim, may_poll
+from schemas.wire import topics
+from schemas.wire.messages import ROW_COLUMNS, Lane, Observation
 
 POLL_NS = 1_000_000
 """An observation is polled for this long after its announcement; the next announcement or it comes within 0.7 ms."""
@@ -34,8 +34,9 @@ def warm_up(node: FastNode) -> None:
     rows[:, 0], rows[:, 1], rows[:, 6:8] = np.arange(8), np.arange(8) * 30.0, (5.0, 2.0)
     lanes = (Lane(y_m=0.0, start_m=0.0, end_m=1e4), Lane(y_m=4.0, start_m=0.0, end_m=1e4))
     for tick in range(20):
-        node.step(Observation(epoch=-2, stamp_ns=0, tick=tick, scenario="warm-up", lanes=lanes, rows=rows.tobytes()),
-                  None, 0)
+        node.step(
+            Observation(epoch=-2, stamp_ns=0, tick=tick, scenario="warm-up", lanes=lanes, rows=rows.tobytes()), None, 0
+        )
     gc.collect()
     gc.freeze()
 
@@ -88,10 +89,19 @@ def main() -> None:
                     spent.update(dict.fromkeys(spent, 0))
                     action, events = node.step(observation, directives.peek(), observations.arrived_ns)
                     now_ns = time.monotonic_ns()
-                    bus.publish(topics.ACTION, msgspec.structs.replace(
-                        action, stamp_ns=now_ns, compute_ns=now_ns - observations.arrived_ns))
-                    trace.add(observation.epoch, observation.tick, observations.arrived_ns, decoded_ns, *spent.values(),
-                              now_ns, time.monotonic_ns())
+                    bus.publish(
+                        topics.ACTION,
+                        msgspec.structs.replace(action, stamp_ns=now_ns, compute_ns=now_ns - observations.arrived_ns),
+                    )
+                    trace.add(
+                        observation.epoch,
+                        observation.tick,
+                        observations.arrived_ns,
+                        decoded_ns,
+                        *spent.values(),
+                        now_ns,
+                        time.monotonic_ns(),
+                    )
                     for event in events:
                         bus.publish(topics.EVENT, event)
                     heart.end()

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from fast_node.mask import NOT_WISHED, OPEN
-from schemas.messages import POLICY_ACTIONS, MetaAction
+from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 
 SLOW_DOWN, CRUISE, SPEED_UP, LEFT, RIGHT, BRAKE = (int(a) for a in MetaAction)
 
@@ -27,8 +27,16 @@ STANDSTILL_M = 2.5
 
 
 def narrow(
-    rule: Any, rows: Any, near: Any, lanes: Any, target_speed: float, target_lane: int, previous_lane: int,
-    wish_lane: int, wish_mps: float, headway_s: float,
+    rule: Any,
+    rows: Any,
+    near: Any,
+    lanes: Any,
+    target_speed: float,
+    target_lane: int,
+    previous_lane: int,
+    wish_lane: int,
+    wish_mps: float,
+    headway_s: float,
 ) -> None:
     """Close in `rule` (6,), of what is safe, what the wish rules out: everything but the change towards the wished lane
     once that is open, lanes away from it, giving up a change that can go on, an oncoming lane that nobody wishes to

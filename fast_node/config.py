@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from schemas.process import NodeConfig
+from schemas.runtime.process import NodeConfig
 
 
 class FastConfig(NodeConfig, frozen=True, kw_only=True):

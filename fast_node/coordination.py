@@ -9,10 +9,10 @@ import math
 from dataclasses import dataclass, field
 
 from fast_node.mask import REAR_GAP, RULES
-from schemas.clock import NS
-from schemas.measures import gap_m
-from schemas.messages import Closure, Directive, Event, EventKind, MetaAction, Observation
-from schemas.wish import ANY_LANE, SPEED_TOLERANCE_MPS, Wish, lead_of, wished_lane
+from schemas.driving.intent import ANY_LANE, SPEED_TOLERANCE_MPS, Wish, lead_of, wished_lane
+from schemas.driving.measures import gap_m
+from schemas.runtime.clock import NS
+from schemas.wire.messages import Closure, Directive, Event, EventKind, MetaAction, Observation
 
 HEADWAY_SHARE = 0.9
 """A wished headway is met with this share of it."""
@@ -66,16 +66,22 @@ class Coordination:
             self._epoch = observation.epoch
             self._cruise_mps = round(observation.target_speed_mps or rows[0][3])
             self._directive, self._done = None, True
-        if directive is not None and directive.epoch == self._epoch and (
-                self._directive is None or directive.id > self._directive.id):
+        if (
+            directive is not None
+            and directive.epoch == self._epoch
+            and (self._directive is None or directive.id > self._directive.id)
+        ):
             self._adopt(directive, observation, rows)
         current = self._directive
         home = self._home(observation)
         if current is not None and not self._done and now_ns - current.stamp_ns > current.ttl_s * NS:
             self._done = True
             events.append(self._event("expired", current, observation, self._why, self._since))
-        if current is None or (self._done and current.manoeuvre != "cruise") or (
-                now_ns - current.stamp_ns > current.ttl_s * NS):
+        if (
+            current is None
+            or (self._done and current.manoeuvre != "cruise")
+            or (now_ns - current.stamp_ns > current.ttl_s * NS)
+        ):
             return Wish(home, self._cruise_mps, self._headway_s), events
         limit = observation.lanes[home].speed_limit_mps
         overtakes = current.manoeuvre == "overtake"
@@ -88,8 +94,11 @@ class Coordination:
         elif overtakes and home > 0 and observation.lanes[home - 1].direction < 0:
             asked = home - 1 if current.target_lane is None else current.target_lane
             lane = wished_lane(rows, home, self._pass_id) if asked != home else home
-        elif current.target_lane is not None and 0 <= current.target_lane < len(observation.lanes) and (
-                observation.lanes[current.target_lane].direction > 0):
+        elif (
+            current.target_lane is not None
+            and 0 <= current.target_lane < len(observation.lanes)
+            and (observation.lanes[current.target_lane].direction > 0)
+        ):
             lane = current.target_lane
         elif current.target_lane is None and self._eager:
             lane = ANY_LANE  # whoever wants to get on does not mind where
@@ -102,7 +111,8 @@ class Coordination:
         if self._hurries:
             speed = limit  # the paper's t = 20 s: accelerate first to widen the gap, then change, without slowing down
         headway = current.headway_s or {"assertive": ASSERTIVE_HEADWAY_S, "calm": CALM_HEADWAY_S}.get(
-            current.style, self._headway_s)
+            current.style, self._headway_s
+        )
         wish = Wish(lane, speed, headway)
         if not self._done and self._fulfilled(current, observation, rows, wish, home):
             self._done = True
@@ -110,9 +120,7 @@ class Coordination:
             events.append(self._event("fulfilled", current, observation, self._why, self._since))
         return wish, events
 
-    def verdict(
-        self, observation: Observation, wish: Wish, closed: tuple[Closure, ...], meta: int
-    ) -> list[Event]:
+    def verdict(self, observation: Observation, wish: Wish, closed: tuple[Closure, ...], meta: int) -> list[Event]:
         """Events for a wished lane change or speed that the mask holds back, by another rule now, or lets go."""
         current = self._directive
         if current is None or self._done:
@@ -201,13 +209,18 @@ class Coordination:
         settled = observation.previous_lane < 0
         if directive.manoeuvre == "overtake" and self._pass_id >= 0:
             passed = wished_lane(rows, home, self._pass_id) == home and not any(
-                int(r[0]) == self._pass_id and r[1] > rows[0][1] for r in rows[1:])
+                int(r[0]) == self._pass_id and r[1] > rows[0][1] for r in rows[1:]
+            )
             return passed and settled and observation.target_lane == home
         no_speed = directive.target_speed_mps is None and directive.manoeuvre != "stop"
         right_speed = no_speed or math.isclose(rows[0][3], wish.speed_mps, abs_tol=SPEED_TOLERANCE_MPS)
         borrowed_for_nothing = directive.manoeuvre == "overtake" and observation.lanes[max(home - 1, 0)].direction < 0
-        return settled and wish.lane in (ANY_LANE, observation.target_lane) and right_speed and not (
-            borrowed_for_nothing or self._too_close(directive, observation, rows))
+        return (
+            settled
+            and wish.lane in (ANY_LANE, observation.target_lane)
+            and right_speed
+            and not (borrowed_for_nothing or self._too_close(directive, observation, rows))
+        )
 
     @staticmethod
     def _too_close(directive: Directive, observation: Observation, rows: list[list[float]]) -> bool:
@@ -215,16 +228,32 @@ class Coordination:
         if directive.headway_s is None:
             return False
         lead = lead_of(rows, observation.target_lane)
-        return any(int(r[0]) == lead and gap_m(rows[0][1], r[1], rows[0][6], r[6])
-                   < HEADWAY_SHARE * directive.headway_s * rows[0][3] for r in rows[1:])
+        return any(
+            int(r[0]) == lead
+            and gap_m(rows[0][1], r[1], rows[0][6], r[6]) < HEADWAY_SHARE * directive.headway_s * rows[0][3]
+            for r in rows[1:]
+        )
 
     @staticmethod
     def _event(
-        kind: EventKind, directive: Directive, observation: Observation, closure: Closure | None, since: int,
+        kind: EventKind,
+        directive: Directive,
+        observation: Observation,
+        closure: Closure | None,
+        since: int,
         detail: str = "",
     ) -> Event:
         return Event(
-            epoch=observation.epoch, stamp_ns=observation.stamp_ns, kind=kind, node="fast", tick=observation.tick,
-            rule=closure.rule if closure else "", vehicle=closure.vehicle if closure else -1, since_tick=since,
+            epoch=observation.epoch,
+            stamp_ns=observation.stamp_ns,
+            kind=kind,
+            node="fast",
+            tick=observation.tick,
+            rule=closure.rule if closure else "",
+            vehicle=closure.vehicle if closure else -1,
+            since_tick=since,
             duration_s=(observation.tick - since) / observation.hz,
-            directive_id=directive.id, command_id=directive.command_id, detail=detail)
+            directive_id=directive.id,
+            command_id=directive.command_id,
+            detail=detail,
+        )

@@ -3,8 +3,9 @@
 It reads the state and never the directive. `close_actions` is plain arithmetic on sequences: the node runs it as it is
 on lists, and training compiles the same source with numba on arrays, so that there is one mask.
 
-The claims behind each rule are RSS distances (`schemas.measures`) with one of the named `PRESETS`: what the ego and the
-others are taken to do. They hold for traffic that does so, not for a real road. As in RSS, a car is in the ego's way
+The claims behind each rule are RSS distances (`schemas.driving.measures`) with one of the named `PRESETS`: what the
+ego and the others are taken to do. They hold for traffic that does so, not for a real road. As in RSS, a car is in
+the ego's way
 where it is too close both along the road and sideways; beyond RSS, one that moves sideways is also taken to be in the
 lane where it will be after `CUT_IN_S`. A follower is taken to see an ego that brakes with `ego_brake`, which an
 emergency brake exceeds.
@@ -15,9 +16,9 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from schemas.measures import CAR_LENGTH_M, gap_m, rss_lateral_m, rss_opposite_m, rss_same_direction_m
-from schemas.messages import Lane, MetaAction
-from schemas.wish import BEHIND_M
+from schemas.driving.intent import BEHIND_M
+from schemas.driving.measures import CAR_LENGTH_M, gap_m, rss_lateral_m, rss_opposite_m, rss_same_direction_m
+from schemas.wire.messages import Lane, MetaAction, Reason
 
 VERSION = "mask/7"
 """Of what `close_actions` and `choice` compute; tests hold a digest of what they do to it. A policy learns behind
@@ -25,11 +26,25 @@ one version and drives behind no other."""
 
 SLOW_DOWN, CRUISE, SPEED_UP, LEFT, RIGHT, BRAKE = (int(a) for a in MetaAction)
 
-RULES = ("", "no lane there", "one change at a time", "lead too close", "speed above the gap's", "front gap in lane",
-         "rear gap in lane", "oncoming traffic", "no gap to return to", "nothing to pass", "finish the pass",
-         "give up the pass", "lane ends", "give up the change", "not wished")
-(OPEN, NO_LANE, CHANGING, LEAD, SPEED_FOR_GAP, FRONT_GAP, REAR_GAP, ONCOMING, NO_RETURN, NOTHING_TO_PASS, FINISH,
- GIVE_UP, LANE_ENDS, GIVE_UP_CHANGE, NOT_WISHED) = range(15)
+RULES = ("", *Reason)
+"""By number: the reason that closes an action; the first closes none."""
+(
+    OPEN,
+    NO_LANE,
+    CHANGING,
+    LEAD,
+    SPEED_FOR_GAP,
+    FRONT_GAP,
+    REAR_GAP,
+    ONCOMING,
+    NO_RETURN,
+    NOTHING_TO_PASS,
+    FINISH,
+    GIVE_UP,
+    LANE_ENDS,
+    GIVE_UP_CHANGE,
+    NOT_WISHED,
+) = range(15)
 
 
 class Preset(NamedTuple):
@@ -112,8 +127,19 @@ OUT_M = 2.3
 
 def lane_table(lanes: tuple[Lane, ...]) -> list[tuple[float, ...]]:
     """(L, 8): y, start, end, direction, width, limit, change_from, is a ramp (0 or 1); as the mask reads them."""
-    return [(b.y_m, b.start_m, b.end_m, float(b.direction), b.width_m, b.speed_limit_mps, b.change_from_m,
-             float(b.kind == "ramp")) for b in lanes]
+    return [
+        (
+            b.y_m,
+            b.start_m,
+            b.end_m,
+            float(b.direction),
+            b.width_m,
+            b.speed_limit_mps,
+            b.change_from_m,
+            float(b.kind == "ramp"),
+        )
+        for b in lanes
+    ]
 
 
 def allowed_speed(gap: float, lead_mps: float, p: Preset) -> float:
@@ -122,8 +148,9 @@ def allowed_speed(gap: float, lead_mps: float, p: Preset) -> float:
     follow = lead_mps + FOLLOW_GAIN * (gap - p.standstill_m - p.follow_s * lead_mps)
     lag = p.ceiling_reaction_s * p.ceiling_brake
     room = max(gap - 2.0, 0.0)
-    stop = math.sqrt(
-        lag * lag + 2.0 * p.ceiling_brake * room + p.ceiling_brake / p.lead_brake * lead_mps * lead_mps) - lag
+    stop = (
+        math.sqrt(lag * lag + 2.0 * p.ceiling_brake * room + p.ceiling_brake / p.lead_brake * lead_mps * lead_mps) - lag
+    )
     return max(0.0, min(follow, stop))
 
 
@@ -179,11 +206,20 @@ def survey(rows: Any, lanes: Any, near: Any) -> None:
             other = lane + 1
         elif row[4] < -CUT_IN_MPS:
             other = lane - 1
-        if other != lane and (other < 0 or other >= n_lanes or row[1] < lanes[other][1]
-                              or abs(lanes[other][0] - row[2]) - CUT_IN_S * abs(row[4]) > 0.5 * lanes[other][4]):
+        if other != lane and (
+            other < 0
+            or other >= n_lanes
+            or row[1] < lanes[other][1]
+            or abs(lanes[other][0] - row[2]) - CUT_IN_S * abs(row[4]) > 0.5 * lanes[other][4]
+        ):
             other = lane
-        if other == lane and lane > 0 and lanes[lane][2] < longest and row[1] > lanes[lane][6] and (
-                row[1] > lanes[lane][2] - COMES_OUT_M):
+        if (
+            other == lane
+            and lane > 0
+            and lanes[lane][2] < longest
+            and row[1] > lanes[lane][6]
+            and (row[1] > lanes[lane][2] - COMES_OUT_M)
+        ):
             other = lane - 1
         if other == lane and abs(math.sin(row[5])) > ASKEW:
             half = half_width(row) + 0.5 * rows[0][7]
@@ -241,8 +277,13 @@ def ahead_of(rows: Any, lane: int, x: float) -> int:
     found = -1
     for i in range(1, len(rows)):
         row = rows[i]
-        if row[0] >= 0 and int(row[8]) == lane and row[3] >= -0.1 and row[1] > x and (
-                found < 0 or row[1] < rows[found][1]):
+        if (
+            row[0] >= 0
+            and int(row[8]) == lane
+            and row[3] >= -0.1
+            and row[1] > x
+            and (found < 0 or row[1] < rows[found][1])
+        ):
             found = i
     return found
 
@@ -264,7 +305,8 @@ def passing(rows: Any, lanes: Any, near: Any, home: int, away: int, sight: float
             break
         room = gap_m(rows[lead][1], rows[after][1], rows[lead][6], rows[after][6])
         need = rss_same_direction_m(
-            lead_v + faster, max(rows[after][3], 0.0), p.reaction_s, 1.0, p.ego_brake, p.lead_brake)
+            lead_v + faster, max(rows[after][3], 0.0), p.reaction_s, 1.0, p.ego_brake, p.lead_brake
+        )
         if room >= length + BEHIND_M + need + 4.0:
             break
         lead = after
@@ -286,8 +328,16 @@ def passing(rows: Any, lanes: Any, near: Any, home: int, away: int, sight: float
 
 
 def close_actions(
-    rows: Any, lanes: Any, target_speed: float, target_lane: int, previous_lane: int, sight: float, near: Any,
-    rule: Any, vehicle: Any, p: Preset
+    rows: Any,
+    lanes: Any,
+    target_speed: float,
+    target_lane: int,
+    previous_lane: int,
+    sight: float,
+    near: Any,
+    rule: Any,
+    vehicle: Any,
+    p: Preset,
 ) -> int:
     """Write the rule that closes each action (`OPEN`: none) and the vehicle's id; return how many actions are open.
 
@@ -339,7 +389,8 @@ def close_actions(
         aside = abs(row[2] - y) - half_width(row) - half_width(ego)
         towards = 1.0 if row[2] > y else -1.0
         overlap = aside < rss_lateral_m(
-            towards * ego[4], -towards * row[4], p.reaction_s, p.side_accel, p.side_brake, p.sway_m)
+            towards * ego[4], -towards * row[4], p.reaction_s, p.side_accel, p.side_brake, p.sway_m
+        )
         in_lane = int(row[8]) == target_lane
         if not in_lane and row[4] * (lane_y - row[2]) > 0.0 and abs(row[4]) > CUT_IN_MPS:
             in_lane = abs(lane_y - row[2]) - CUT_IN_S * abs(row[4]) < 0.5 * (row[7] + ego[7])
@@ -349,13 +400,17 @@ def close_actions(
         lead_v = max(row[3], 0.0)
         leaving = not in_lane
         if overlap and gap < (0.5 if leaving else 1.0) + rss_same_direction_m(
-                v, lead_v, p.reaction_s, 0.0, p.ego_brake + 1.0, p.lead_brake):
+            v, lead_v, p.reaction_s, 0.0, p.ego_brake + 1.0, p.lead_brake
+        ):
             # While the two are still apart sideways the change may be given up; leaving a lane may go on, but not back
             # behind who is too close there.
             apart = aside > p.sway_m and previous_lane >= 0 and int(ego[8]) == previous_lane
             for a in range(5):
-                if rule[a] == OPEN and a != SLOW_DOWN and not (
-                        a >= LEFT and (leaving or apart) and not (leaving and a == back)):
+                if (
+                    rule[a] == OPEN
+                    and a != SLOW_DOWN
+                    and not (a >= LEFT and (leaving or apart) and not (leaving and a == back))
+                ):
                     rule[a], vehicle[a] = LEAD, i
             rule[SLOW_DOWN], vehicle[SLOW_DOWN] = LEAD, i
         spare = gap - LEAVE_M if gap > LEAVE_M and must_leave else gap
@@ -393,7 +448,8 @@ def close_actions(
         gap = gap_m(rows[behind][1], x, rows[behind][6], length)
         if rule[back] == OPEN:
             if int(ego[8]) == previous_lane and gap < 1.0 + rss_same_direction_m(
-                    rows[behind][3], v, p.reaction_s, 0.0, p.follower_brake, p.ego_brake):
+                rows[behind][3], v, p.reaction_s, 0.0, p.follower_brake, p.ego_brake
+            ):
                 for a in range(3):
                     if rule[a] == OPEN:
                         rule[a], vehicle[a] = GIVE_UP_CHANGE, behind

@@ -8,11 +8,11 @@ from fast_node.choice import HELD, SOURCES, choose, narrow
 from fast_node.config import FastConfig
 from fast_node.coordination import Coordination
 from fast_node.mask import OPEN, PRESETS, RULES, Preset, close_actions, lane_table
-from fast_node.policy import Policy
-from schemas.codec import rows_of
-from schemas.features import N_ROWS, Array, features
-from schemas.messages import POLICY_ACTIONS, Action, Closure, Directive, Event, MetaAction, Observation
-from schemas.wish import ANY_LANE, Wish
+from fast_node.policies.attention import Policy
+from schemas.driving.features import N_ROWS, Array, features
+from schemas.driving.intent import ANY_LANE, Wish
+from schemas.wire.codec import rows_of
+from schemas.wire.messages import POLICY_ACTIONS, Action, Closure, Directive, Event, MetaAction, Observation
 
 
 class FastNode:
@@ -39,20 +39,35 @@ class FastNode:
         except Exception as error:
             self.counts["fallback"] += 1
             return Action(
-                epoch=observation.epoch, stamp_ns=now_ns, answers_tick=observation.tick,
+                epoch=observation.epoch,
+                stamp_ns=now_ns,
+                answers_tick=observation.tick,
                 meta_action=int(MetaAction.SLOW_DOWN if observation.tick % 5 == 0 else MetaAction.CRUISE),
-                source="fallback", budget_ns=round(self._config.budget_ms * 1e6),
-                why=f"{type(error).__name__}: {error}"[:120]), []
+                source="fallback",
+                budget_ns=round(self._config.budget_ms * 1e6),
+                why=f"{type(error).__name__}: {error}"[:120],
+            ), []
 
     def _step(self, observation: Observation, directive: Directive | None, now_ns: int) -> tuple[Action, list[Event]]:
         table = rows_of(observation).tolist()
         rule, vehicle = [0] * 6, [-1] * 6
         lanes = lane_table(observation.lanes)
         near = [0] * (3 * len(lanes))
-        close_actions(table, lanes, observation.target_speed_mps, observation.target_lane, observation.previous_lane,
-                      observation.sight_m, near, rule, vehicle, self._preset)
-        closed = tuple(Closure(action=a, rule=RULES[rule[a]], vehicle=vehicle[a])
-                       for a in range(POLICY_ACTIONS) if rule[a] != OPEN)
+        close_actions(
+            table,
+            lanes,
+            observation.target_speed_mps,
+            observation.target_lane,
+            observation.previous_lane,
+            observation.sight_m,
+            near,
+            rule,
+            vehicle,
+            self._preset,
+        )
+        closed = tuple(
+            Closure(action=a, rule=RULES[rule[a]], vehicle=vehicle[a]) for a in range(POLICY_ACTIONS) if rule[a] != OPEN
+        )
         wish, events = self._coordination.wish(observation, table, directive, now_ns)
         if observation.epoch != self._epoch or wish != self._wish:
             self._decided_tick = -(10**9)
@@ -63,8 +78,18 @@ class FastNode:
             if not math.isfinite(sum(logits)):
                 raise FloatingPointError("non-finite logits")
             wished = rule.copy()
-            narrow(wished, table, near, lanes, observation.target_speed_mps, observation.target_lane,
-                   observation.previous_lane, wish.lane, wish.speed_mps, wish.headway_s)
+            narrow(
+                wished,
+                table,
+                near,
+                lanes,
+                observation.target_speed_mps,
+                observation.target_lane,
+                observation.previous_lane,
+                wish.lane,
+                wish.speed_mps,
+                wish.headway_s,
+            )
             holding = observation.tick - self._decided_tick < self._config.decision_ticks
             meta, by = choose(logits, wished, holding)
             if by != HELD:
@@ -79,17 +104,32 @@ class FastNode:
             why = "; ".join(sorted({c.rule for c in closed}))
         events += self._coordination.verdict(observation, wish, closed, meta)
         return Action(
-            epoch=observation.epoch, stamp_ns=now_ns, answers_tick=observation.tick, meta_action=int(meta),
+            epoch=observation.epoch,
+            stamp_ns=now_ns,
+            answers_tick=observation.tick,
+            meta_action=int(meta),
             source=source,  # type: ignore[arg-type]
-            speed_goal_mps=wish.speed_mps, directive_id=directive.id if directive else None,
-            budget_ns=round(self._config.budget_ms * 1e6), closed=closed, why=why), events
+            speed_goal_mps=wish.speed_mps,
+            directive_id=directive.id if directive else None,
+            budget_ns=round(self._config.budget_ms * 1e6),
+            closed=closed,
+            why=why,
+        ), events
 
     def _logits(self, observation: Observation, table: list[list[float]], wish: Wish) -> Array:
         lanes, aim = observation.lanes, observation.target_lane
-        return self._policy.logits(features(
-            table, math.nan if wish.lane == ANY_LANE else lanes[wish.lane].y_m, wish.speed_mps, wish.headway_s,
-            observation.target_speed_mps, observation.previous_lane >= 0, lanes[aim].end_m - table[0][1],
-            min(N_ROWS, len(table))))  # rows of absent vehicles change nothing
+        return self._policy.logits(
+            features(
+                table,
+                math.nan if wish.lane == ANY_LANE else lanes[wish.lane].y_m,
+                wish.speed_mps,
+                wish.headway_s,
+                observation.target_speed_mps,
+                observation.previous_lane >= 0,
+                lanes[aim].end_m - table[0][1],
+                min(N_ROWS, len(table)),
+            )
+        )  # rows of absent vehicles change nothing
 
 
 def fallback(rule: list[int], observation: Observation) -> int:

@@ -11,12 +11,12 @@ from collections import deque
 
 import numpy as np
 
-from schemas.bus import Bus, Subscription, ZenohBus, open_bus
-from schemas.clock import MonotonicClock, Schedule
-from schemas.messages import Action, MetaAction, Observation
-from schemas.process import Heartbeat, Trace, load_config, log, run_node
-from schemas.realtime import claim, may_poll
-from schemas.topics import ACTION, EVENT, OBSERVATION, STATUS
+from schemas.runtime.bus import Bus, Subscription, ZenohBus, open_bus
+from schemas.runtime.clock import MonotonicClock, Schedule
+from schemas.runtime.process import Heartbeat, Trace, load_config, log, run_node
+from schemas.runtime.realtime import claim, may_poll
+from schemas.wire.messages import Action, MetaAction, Observation
+from schemas.wire.topics import ACTION, EVENT, OBSERVATION, STATUS
 from sim_node.config import SimConfig
 from sim_node.node import SimNode
 
@@ -84,8 +84,15 @@ class RoundTrips:
         """The observation, which was due at `due_ns`, is about to leave; close the account of the one before."""
         if self._published[0] >= 0:
             self.missed += not 0 <= self._first_ns <= BUDGET_NS
-            self._trace.add(*self._published, self._first_ns, self._due_ns, self.put_ns, due_ns, observation.stamp_ns,
-                            observation.applied_tick)
+            self._trace.add(
+                *self._published,
+                self._first_ns,
+                self._due_ns,
+                self.put_ns,
+                due_ns,
+                observation.stamp_ns,
+                observation.applied_tick,
+            )
         self._due_ns = due_ns
         self._prompt = 0 <= self._first_ns < POLL_NS
         # In this order: a late answer to the tick before must not be taken for one to this tick.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from schemas.process import NodeConfig
+from schemas.runtime.process import NodeConfig
 from sim_node.scenarios import SCENARIOS
 
 

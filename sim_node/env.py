@@ -17,11 +17,11 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 from numpy.typing import NDArray
 
-from schemas.features import BOUND, FEATURES, N_ROWS, features
-from schemas.measures import TTC_CAP_S
-from schemas.messages import POLICY_ACTIONS, Lane, MetaAction
-from schemas.reward import reward, shortfall
-from schemas.wish import ANY_LANE, Wish, lead_of, wished_lane
+from schemas.driving.features import BOUND, FEATURES, N_ROWS, features
+from schemas.driving.intent import ANY_LANE, Wish, lead_of, wished_lane
+from schemas.driving.measures import TTC_CAP_S
+from schemas.driving.reward import reward, shortfall
+from schemas.wire.messages import POLICY_ACTIONS, Lane, MetaAction
 from sim_node import executor
 from sim_node.engine import bridge, kernel
 from sim_node.engine.accelerated import Accelerated
@@ -42,7 +42,14 @@ class EgoVehicle(Vehicle):  # type: ignore[misc]
     """A car with the executor's set-points: `act(meta)` edits them once, `act()` steers and accelerates for a tick."""
 
     def __init__(
-        self, road: Road, scenario: Scenario, dt: float, lane: int, x_m: float, y_m: float, heading: float,
+        self,
+        road: Road,
+        scenario: Scenario,
+        dt: float,
+        lane: int,
+        x_m: float,
+        y_m: float,
+        heading: float,
         speed_mps: float,
     ) -> None:
         super().__init__(road, [x_m, y_m], heading, speed_mps)
@@ -117,9 +124,14 @@ class _Features(ObservationType):  # type: ignore[misc]
         wish, ego = env.wish, env.ego
         lanes = env.published_lanes()
         return features(
-            env.seen().tolist(), math.nan if wish.lane == ANY_LANE else lanes[wish.lane].y_m,
-            wish.speed_mps, wish.headway_s, ego.target_speed, ego.previous_lane >= 0,
-            lanes[ego.target_lane].end_m - float(ego.position[0]))
+            env.seen().tolist(),
+            math.nan if wish.lane == ANY_LANE else lanes[wish.lane].y_m,
+            wish.speed_mps,
+            wish.headway_s,
+            ego.target_speed,
+            ego.previous_lane >= 0,
+            lanes[ego.target_lane].end_m - float(ego.position[0]),
+        )
 
 
 class _MetaActions(ActionType):  # type: ignore[misc]
@@ -144,9 +156,18 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
     """
 
     def __init__(
-        self, scenario: str | Scenario = "highway", *, decision_hz: int = 15, hz: int = 15,
-        duration_s: float | str | None = "scenario", guard: Guard | None = None, density: float = 1.0,
-        noise_m: float = 0.0, noise_mps: float = 0.0, dropout: float = 0.0, config: dict[str, Any] | None = None,
+        self,
+        scenario: str | Scenario = "highway",
+        *,
+        decision_hz: int = 15,
+        hz: int = 15,
+        duration_s: float | str | None = "scenario",
+        guard: Guard | None = None,
+        density: float = 1.0,
+        noise_m: float = 0.0,
+        noise_mps: float = 0.0,
+        dropout: float = 0.0,
+        config: dict[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
         """`scenario`: a name or your own; raises ValueError for an unknown name or rates that do not divide.
@@ -220,8 +241,9 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
     def seen(self) -> NDArray[np.float32]:
         """The same rows as the ego's sensors report them."""
         if self._seen is None:
-            self._seen = perceived(self.rows(), self._perception, *self._imperfect) if any(self._imperfect) else (
-                self.rows())
+            self._seen = (
+                perceived(self.rows(), self._perception, *self._imperfect) if any(self._imperfect) else (self.rows())
+            )
         return self._seen
 
     def define_spaces(self) -> None:
@@ -252,13 +274,13 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
                 break
         seconds = (k + 1) / self.hz
         earned = self._earned(
-            int(action), (float(self.ego.position[0]) - distance) / seconds, effort / (k + 1), braked, seconds)
+            int(action), (float(self.ego.position[0]) - distance) / seconds, effort / (k + 1), braked, seconds
+        )
         self._follow()
         observation = self.observation_type.observe()
         if self.render_mode == "human":
             self.render()
-        return (observation, earned, self._is_terminated(), self._is_truncated(),
-                self._info(observation, int(action)))
+        return (observation, earned, self._is_terminated(), self._is_truncated(), self._info(observation, int(action)))
 
     def tick(self, meta: int) -> None:
         """One tick of the world under one meta-action, without observing it."""
@@ -267,7 +289,8 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         self._simulate(meta)
         end = self.scenario.road_end_m - kernel.LEFT_ROAD_M
         self.road.vehicles = [
-            v for v in self.road.vehicles
+            v
+            for v in self.road.vehicles
             if v is self.ego or (v.position[0] < end if math.cos(v.heading) > 0 else v.position[0] > kernel.LEFT_ROAD_M)
         ]
 
@@ -285,8 +308,9 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
                 able[action] = executor.lane_beside(self._gates, ego.target_lane, aim, float(ego.position[0]))
         return able
 
-    def direct(self, lane: int = ANY_LANE, speed_mps: float = math.nan, headway_s: float = 1.5,
-               overtake: bool = False) -> None:
+    def direct(
+        self, lane: int = ANY_LANE, speed_mps: float = math.nan, headway_s: float = 1.5, overtake: bool = False
+    ) -> None:
         """Set the directive for this and all further episodes, in place of random ones.
 
         lane: an index or `ANY_LANE`; speed_mps: nan is as fast as the scenario allows; overtake: pass the car ahead,
@@ -322,8 +346,11 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         self._rows = self._seen = None
         traffic, self._wishes, self._perception = streams(seed)
         self.road = Road(
-            network=network(s), np_random=self.np_random, record_history=self.config["show_trajectories"],
-            neighbour_vehicles_connected_lanes=s.connected_lanes)
+            network=network(s),
+            np_random=self.np_random,
+            record_history=self.config["show_trajectories"],
+            neighbour_vehicles_connected_lanes=s.connected_lanes,
+        )
         self.config["neighbour_vehicles_connected_lanes"] = s.connected_lanes
         for lane, x in s.obstacles:
             self.road.objects.append(Obstacle(self.road, [x, centre_line(self._pieces, lane, x)[0]]))
@@ -358,15 +385,29 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         ttc = float(gap[0] / closing[0]) if closing[0] > CLOSING_MIN_MPS else TTC_CAP_S
         short = shortfall(float(gap[0]), speed, self.wish.headway_s) if np.isfinite(gap[0]) else 0.0
         lane = self.wish.lane
-        return float(reward(
-            one(speed), one(self.wish.speed_mps), 0.5 * self.scenario.ego.speed_ceiling_mps, one(accel_square),
-            one(action != MetaAction.CRUISE), one(lane in (ANY_LANE, self.ego.target_lane)), one(ttc), one(short),
-            one(braked), one(self.ego.crashed), seconds))
+        return float(
+            reward(
+                one(speed),
+                one(self.wish.speed_mps),
+                0.5 * self.scenario.ego.speed_ceiling_mps,
+                one(accel_square),
+                one(action != MetaAction.CRUISE),
+                one(lane in (ANY_LANE, self.ego.target_lane)),
+                one(ttc),
+                one(short),
+                one(braked),
+                one(self.ego.crashed),
+                seconds,
+            )
+        )
 
     def _info(self, obs: NDArray[np.float32], action: int | None = None) -> dict[str, Any]:
         return {
-            "speed": float(self.ego.speed), "crashed": bool(self.ego.crashed), "action": action,
-            "action_mask": self.action_masks(), "wish": self.wish,
+            "speed": float(self.ego.speed),
+            "crashed": bool(self.ego.crashed),
+            "action": action,
+            "action_mask": self.action_masks(),
+            "wish": self.wish,
         }
 
     def reached(self) -> bool:
@@ -395,8 +436,7 @@ def network(scenario: Scenario) -> RoadNetwork:
             forbidden = plan.kind == "ramp" or piece.end_m <= plan.change_from_m
             ends = [piece.start_m, piece.y_m], [piece.end_m, piece.y_m]
             if piece.amplitude_m:
-                lane = SineLane(
-                    *ends, piece.amplitude_m, piece.pulsation, piece.phase, width, lines, forbidden, limit)
+                lane = SineLane(*ends, piece.amplitude_m, piece.pulsation, piece.phase, width, lines, forbidden, limit)
             else:
                 lane = StraightLane(*ends, width, lines, forbidden, limit)
             net.add_lane(*piece.edge, lane)

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from schemas.measures import EGO_ACCEL_MAX_MPS2, EGO_BRAKE_MAX_MPS2, LANE_CHANGE_DONE_M, SPEED_STEP_MPS
-from schemas.messages import MetaAction
+from schemas.driving.measures import EGO_ACCEL_MAX_MPS2, EGO_BRAKE_MAX_MPS2, LANE_CHANGE_DONE_M, SPEED_STEP_MPS
+from schemas.wire.messages import MetaAction
 
 # numba freezes global ints, but does not know IntEnum members in arithmetic comparisons with plain ints.
 SLOW_DOWN = int(MetaAction.SLOW_DOWN)

@@ -34,8 +34,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.measures import TTC_CAP_S
-from schemas.wish import ANY_LANE, SPEED_TOLERANCE_MPS
+from schemas.driving.intent import ANY_LANE, SPEED_TOLERANCE_MPS
+from schemas.driving.measures import TTC_CAP_S
 from sim_node.scenarios.scenario import Scenario
 
 CLOSING_MIN_MPS = 0.1
@@ -153,19 +153,49 @@ class Recorder:
     def restart(self, which: Bools) -> None:
         """Forget what was recorded of these scenes."""
         fresh: dict[str, Any] = {
-            "ticks": 0, "speed": 0.0, "fastest": -np.inf, "slowest": np.inf, "accel": 0.0, "accel_square": 0.0,
-            "last_accel": np.nan, "jerk_square": 0.0, "min_ttc": TTC_CAP_S, "headway": 0.0, "headway_n": 0,
-            "start_x": np.nan, "x": np.nan, "changes": 0, "changing": False, "in_lane": 0,
-            "could_lane": 0, "in_speed": 0, "could_speed": 0, "free": 0, "off": 0.0,
-            "complied": np.nan, "overridden": 0, "collided": False, "struck": False, "passed": False, "home": -1,
+            "ticks": 0,
+            "speed": 0.0,
+            "fastest": -np.inf,
+            "slowest": np.inf,
+            "accel": 0.0,
+            "accel_square": 0.0,
+            "last_accel": np.nan,
+            "jerk_square": 0.0,
+            "min_ttc": TTC_CAP_S,
+            "headway": 0.0,
+            "headway_n": 0,
+            "start_x": np.nan,
+            "x": np.nan,
+            "changes": 0,
+            "changing": False,
+            "in_lane": 0,
+            "could_lane": 0,
+            "in_speed": 0,
+            "could_speed": 0,
+            "free": 0,
+            "off": 0.0,
+            "complied": np.nan,
+            "overridden": 0,
+            "collided": False,
+            "struck": False,
+            "passed": False,
+            "home": -1,
         }
         for name, value in fresh.items():
             array = self.__dict__.setdefault(name, np.full(self.scenes, value))
             array[which] = value
 
     def tick(
-        self, rows: Rows, accel: Floats, target_lane: Ints, previous_lane: Ints, crashed: Bools, active: Bools,
-        wish_lane: Ints | None = None, wish_speed: Floats | None = None, overridden: Bools | None = None,
+        self,
+        rows: Rows,
+        accel: Floats,
+        target_lane: Ints,
+        previous_lane: Ints,
+        crashed: Bools,
+        active: Bools,
+        wish_lane: Ints | None = None,
+        wish_speed: Floats | None = None,
+        overridden: Bools | None = None,
         way_open: Bools | None = None,
     ) -> None:
         """Take in the state after one tick: rows (S, V, 9), the rest (S,); scenes that are not `active` stay as is.
@@ -208,8 +238,12 @@ class Recorder:
             self.in_lane += a & there
             self.complied = np.where(a & there & np.isnan(self.complied), self.ticks / self.hz, self.complied)
         if wish_speed is not None:
-            free = ~changing & (target_lane == lane) & (ends[lane] - x > ENDS_M) & ~(
-                blocked & (lead_mps < wish_speed + SPEED_TOLERANCE_MPS))
+            free = (
+                ~changing
+                & (target_lane == lane)
+                & (ends[lane] - x > ENDS_M)
+                & ~(blocked & (lead_mps < wish_speed + SPEED_TOLERANCE_MPS))
+            )
             off = np.abs(speed - wish_speed)
             self.free = np.where(a & free, self.free + 1, np.where(a, 0, self.free))
             self.off = np.where(a & (self.free <= 1), off, self.off)
@@ -238,19 +272,36 @@ class Recorder:
             n = max(int(self.ticks[s]), 1)
             mean = float(self.speed[s]) / n
             reached = not goal.reach_lanes or self.x[s] > goal.reach_x_m
-            out.append(EpisodeResult(
-                success=bool(not self.collided[s] and mean >= goal.mean_speed_mps and reached
-                             and (self.passed[s] or not goal.pass_first_lead)),
-                collided=bool(self.collided[s]), struck=bool(self.struck[s]), passed=bool(self.passed[s]),
-                ticks=n, avg_speed=mean, max_speed=float(self.fastest[s]), min_speed=float(self.slowest[s]),
-                accel_sum=float(self.accel[s]), accel_square_sum=float(self.accel_square[s]),
-                jerk_rms=float(np.sqrt(self.jerk_square[s] / n)), min_ttc_s=float(self.min_ttc[s]),
-                headway_s=float(self.headway[s] / self.headway_n[s]) if self.headway_n[s] else float("nan"),
-                progress_m=float(self.x[s] - self.start_x[s]), lane_changes=int(self.changes[s]),
-                in_lane=float(self.in_lane[s]) / n, speed_ticks=int(self.could_speed[s]),
-                speed_complied=int(self.in_speed[s]),
-                time_to_comply_s=float(self.complied[s]), lane_open_s=int(self.could_lane[s]) / self.hz,
-                override_share=float(self.overridden[s]) / n))
+            out.append(
+                EpisodeResult(
+                    success=bool(
+                        not self.collided[s]
+                        and mean >= goal.mean_speed_mps
+                        and reached
+                        and (self.passed[s] or not goal.pass_first_lead)
+                    ),
+                    collided=bool(self.collided[s]),
+                    struck=bool(self.struck[s]),
+                    passed=bool(self.passed[s]),
+                    ticks=n,
+                    avg_speed=mean,
+                    max_speed=float(self.fastest[s]),
+                    min_speed=float(self.slowest[s]),
+                    accel_sum=float(self.accel[s]),
+                    accel_square_sum=float(self.accel_square[s]),
+                    jerk_rms=float(np.sqrt(self.jerk_square[s] / n)),
+                    min_ttc_s=float(self.min_ttc[s]),
+                    headway_s=float(self.headway[s] / self.headway_n[s]) if self.headway_n[s] else float("nan"),
+                    progress_m=float(self.x[s] - self.start_x[s]),
+                    lane_changes=int(self.changes[s]),
+                    in_lane=float(self.in_lane[s]) / n,
+                    speed_ticks=int(self.could_speed[s]),
+                    speed_complied=int(self.in_speed[s]),
+                    time_to_comply_s=float(self.complied[s]),
+                    lane_open_s=int(self.could_lane[s]) / self.hz,
+                    override_share=float(self.overridden[s]) / n,
+                )
+            )
         return out
 
 
@@ -290,16 +341,24 @@ def summarise(episodes: Sequence[EpisodeResult]) -> dict[str, float]:
         "success": float(np.mean([e.success for e in episodes])),
         "ego_fault_collisions": sum(e.collided and not e.struck for e in episodes),
         "struck_collisions": sum(e.struck for e in episodes),
-        "avg_speed": weighted("avg_speed"), "max_speed": mean("max_speed"), "min_speed": mean("min_speed"),
-        "accel_std": float(np.sqrt(accel_var)), "accel_var": float(accel_var), "jerk_rms": weighted("jerk_rms"),
-        "min_ttc_mean": float(ttc.mean()), "min_ttc_median": float(np.median(ttc)),
-        "min_ttc_p5": float(np.percentile(ttc, 5)), "headway_s": mean("headway_s"),
-        "progress_m": mean("progress_m"), "lane_changes": mean("lane_changes"),
+        "avg_speed": weighted("avg_speed"),
+        "max_speed": mean("max_speed"),
+        "min_speed": mean("min_speed"),
+        "accel_std": float(np.sqrt(accel_var)),
+        "accel_var": float(accel_var),
+        "jerk_rms": weighted("jerk_rms"),
+        "min_ttc_mean": float(ttc.mean()),
+        "min_ttc_median": float(np.median(ttc)),
+        "min_ttc_p5": float(np.percentile(ttc, 5)),
+        "headway_s": mean("headway_s"),
+        "progress_m": mean("progress_m"),
+        "lane_changes": mean("lane_changes"),
         "lane_compliance": float(np.mean([e.lane_complied for e in episodes])),
         "lane_feasible": feasible / len(episodes),
         "lane_compliance_feasible": sum(e.lane_complied for e in episodes) / feasible if feasible else float("nan"),
         "speed_compliance": sum(e.speed_complied for e in episodes) / due if due else float("nan"),
         "speed_ticks": due,
-        "time_to_comply_s": mean("time_to_comply_s"), "in_wished_lane": weighted("in_lane"),
+        "time_to_comply_s": mean("time_to_comply_s"),
+        "in_wished_lane": weighted("in_lane"),
         "override_share": weighted("override_share"),
     }

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.measures import TTC_CAP_S
-from schemas.messages import Action, Event, MetaAction, Observation
+from schemas.driving.measures import TTC_CAP_S
+from schemas.wire.messages import Action, Event, MetaAction, Observation
 from sim_node.config import SimConfig
 from sim_node.env import ScenarioEnv
 from sim_node.metrics import Recorder
@@ -49,8 +49,15 @@ class SimNode:
     def __init__(self, config: SimConfig) -> None:
         self._config = config
         self._env = ScenarioEnv(
-            config.scenario, hz=config.hz, decision_hz=config.hz, duration_s=None, density=config.density,
-            noise_m=config.noise_m, noise_mps=config.noise_mps, dropout=config.dropout)
+            config.scenario,
+            hz=config.hz,
+            decision_hz=config.hz,
+            duration_s=None,
+            density=config.density,
+            noise_m=config.noise_m,
+            noise_mps=config.noise_mps,
+            dropout=config.dropout,
+        )
         self._events: list[Event] = []
         self.metrics = Metrics()
         self._recorder = Recorder(self._env.scenario, 1, config.hz)
@@ -122,9 +129,7 @@ class SimNode:
 
     def observation(self, now_ns: int) -> Observation:
         """What the ego sees at the current tick."""
-        return observe(
-            self._env, epoch=self.epoch, tick=self.tick, applied_tick=self._applied_tick, now_ns=now_ns
-        )
+        return observe(self._env, epoch=self.epoch, tick=self.tick, applied_tick=self._applied_tick, now_ns=now_ns)
 
     def take_events(self) -> list[Event]:
         """Events since the last call."""
@@ -143,8 +148,13 @@ class SimNode:
         env, ego, m = self._env, self._env.ego, self.metrics
         before = bool(self._recorder.passed[0])
         self._recorder.tick(
-            self._rows[None], np.array([ego.acceleration]), np.array([ego.target_lane]),
-            np.array([ego.previous_lane]), np.array([bool(ego.crashed)]), _YES)
+            self._rows[None],
+            np.array([ego.acceleration]),
+            np.array([ego.target_lane]),
+            np.array([ego.previous_lane]),
+            np.array([bool(ego.crashed)]),
+            _YES,
+        )
         m.passed += bool(self._recorder.passed[0]) and not before
         m.min_ttc_s = min(m.min_ttc_s, float(self._recorder.min_ttc[0]))
         if ego.crashed:

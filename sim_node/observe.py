@@ -8,7 +8,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from schemas.messages import ROW_COLUMNS, Observation
+from schemas.wire.messages import ROW_COLUMNS, Observation
 
 if TYPE_CHECKING:
     from sim_node.env import ScenarioEnv
@@ -49,9 +49,7 @@ def perceived(
     return np.concatenate([table[:1], others[seen]])
 
 
-def observe(
-    env: ScenarioEnv, *, epoch: int, tick: int, applied_tick: int, now_ns: int
-) -> Observation:
+def observe(env: ScenarioEnv, *, epoch: int, tick: int, applied_tick: int, now_ns: int) -> Observation:
     """What the ego sees now, as it is published."""
     ego = env.ego
     return Observation(

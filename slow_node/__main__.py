@@ -6,7 +6,7 @@ import ctypes
 import os
 import sys
 
-from schemas.process import load_config, run_node
+from schemas.runtime.process import load_config, run_node
 from slow_node.config import SlowConfig
 
 NAME = "slow"
@@ -21,8 +21,8 @@ def main() -> int:
     def run() -> None:
         config = load_config(SlowConfig, sys.argv[1:])
         _save_memory()
-        from schemas.bus import BusError
-        from schemas.process import ConfigError
+        from schemas.runtime.bus import BusError
+        from schemas.runtime.process import ConfigError
         from slow_node.node import serve
 
         try:

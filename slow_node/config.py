@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from schemas.process import NodeConfig
+from schemas.runtime.process import NodeConfig
 
 
 class SlowConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):

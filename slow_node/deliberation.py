@@ -5,7 +5,7 @@ wins; one thought is in flight; one intent is active and outlives its directives
 replaced or given up. Whatever was wished, its directive is renewed before it expires. The intent is thought about
 again when its road changes: the car ahead is passed, the fast node holds the directive up, the lane is clear again, a
 slow car is ahead of somebody in a hurry. The words have not changed then, so no model is asked: the same slots are
-planned anew for the present scene, by `slow_node.directive`'s rules, at most once in `RETHINK_EVERY_S`.
+planned anew for the present scene, by `slow_node.planning.directive`'s rules, at most once in `RETHINK_EVERY_S`.
 
 A hurry and a wished gap stand on after they were fulfilled, without further replies: the next slow car is overtaken
 too, and where the hurry took the ego to the left on a one-way road it is asked back to the right once that is free.
@@ -16,12 +16,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from schemas import topics
-from schemas.clock import NS
-from schemas.measures import INF
-from schemas.messages import Command, Directive, Event, Reply, ReplyOutcome
-from schemas.wish import BEHIND_M
-from slow_node.directive import (
+from schemas.driving.intent import BEHIND_M
+from schemas.driving.measures import INF
+from schemas.runtime.clock import NS
+from schemas.wire import topics
+from schemas.wire.messages import Command, Directive, Event, Reply, ReplyOutcome
+from slow_node.planning.directive import (
     Plan,
     Refusal,
     hurried,
@@ -33,10 +33,10 @@ from slow_node.directive import (
     right_plan,
     slow_lead,
 )
-from slow_node.replies import sentence
-from slow_node.scene import Scene
-from slow_node.slots import Slots
+from slow_node.planning.replies import sentence
+from slow_node.planning.scene import Scene
 from slow_node.thinking import Verdict
+from slow_node.understanding.slots import Slots
 
 SCENE_MAX_AGE_S = 10.0
 RENEW_BEFORE_S = 3.0
@@ -133,8 +133,17 @@ class Deliberation:
         """A payload that is no command."""
         self.figures["commands"] += 1
         self.figures["refused"] += 1
-        return [Reply(epoch=self.epoch, stamp_ns=now_ns, command_id=command_id, outcome="refused", text="", why=why,
-                      say=sentence("unusable", self._language))]
+        return [
+            Reply(
+                epoch=self.epoch,
+                stamp_ns=now_ns,
+                command_id=command_id,
+                outcome="refused",
+                text="",
+                why=why,
+                say=sentence("unusable", self._language),
+            )
+        ]
 
     def on_command(self, command: Command, now_ns: int) -> list[Effect]:
         """Heard at once; whatever was being thought about is superseded. A command out of the past is not obeyed."""
@@ -145,8 +154,10 @@ class Deliberation:
         effects: list[Effect] = [self._reply(command, "heard", now_ns)]
         if self._pending is not None:
             say = sentence("superseded", self._language)
-            effects += [self._reply(self._pending.command, "superseded", now_ns, say=say, why="a newer command came"),
-                        Drop()]
+            effects += [
+                self._reply(self._pending.command, "superseded", now_ns, say=say, why="a newer command came"),
+                Drop(),
+            ]
             self._pending = None
         scene = self._scene
         if scene is None or now_ns - scene.stamp_ns > SCENE_MAX_AGE_S * NS:
@@ -193,8 +204,11 @@ class Deliberation:
         if event.kind == "fulfilled":
             return self._fulfilled(intent, event.directive_id, now_ns)
         if event.kind in ("vetoed", "delayed") and event.directive_id == intent.directive.id:
-            self._intent = replace(intent, vetoed_by=event.rule or intent.vetoed_by,
-                                   news=f"{event.kind} by the fast system ({event.rule or 'safety'})")
+            self._intent = replace(
+                intent,
+                vetoed_by=event.rule or intent.vetoed_by,
+                news=f"{event.kind} by the fast system ({event.rule or 'safety'})",
+            )
             return self._think_again(now_ns)
         return []
 
@@ -230,8 +244,9 @@ class Deliberation:
                 effects.append(self._learn(old, outcome, now_ns))
         directive = self._directive(command, plan, scene, slots.reasoning, now_ns)
         lead_id = scene.lead.id if scene.lead else None
-        self._intent = _Intent(command, slots, scene, plan, directive, now_ns, frozenset({directive.id}), lead_id,
-                               scene.home_lane)
+        self._intent = _Intent(
+            command, slots, scene, plan, directive, now_ns, frozenset({directive.id}), lead_id, scene.home_lane
+        )
         issued = self._reply(command, "issued", now_ns, directive_id=directive.id, say=plan.say, why=why)
         effects += [directive, issued]
         if slots.cancel:
@@ -248,8 +263,10 @@ class Deliberation:
             return []
         effects: list[Effect] = []
         if not intent.fulfilled:
-            effects = [self._done(intent.command, intent.slots, directive_id, now_ns),
-                       self._learn(intent, "fulfilled", now_ns)]
+            effects = [
+                self._done(intent.command, intent.slots, directive_id, now_ns),
+                self._learn(intent, "fulfilled", now_ns),
+            ]
         if not hurried(intent.slots) and plan.headway_s is None:
             self._intent = None
             return effects
@@ -281,14 +298,20 @@ class Deliberation:
     def _right_again(self, intent: _Intent, scene: Scene) -> bool:
         """A hurry that is over its first car, one-way and farther left than it began, could keep right."""
         right = scene.home_lane + 1
-        return (intent.fulfilled and not scene.two_way and hurried(intent.slots) and right <= intent.from_lane
-                and may_take(scene, right) and right in scene.free_lanes and right not in scene.slow_lanes)
+        return (
+            intent.fulfilled
+            and not scene.two_way
+            and hurried(intent.slots)
+            and right <= intent.from_lane
+            and may_take(scene, right)
+            and right in scene.free_lanes
+            and right not in scene.slow_lanes
+        )
 
     def _too_slow_there(self, intent: _Intent, scene: Scene) -> bool:
         """It was asked back to the right, has not gone yet, and would run up to a slow car there."""
         lane = intent.plan.target_lane
-        return (intent.fulfilled and hurried(intent.slots) and lane == scene.home_lane + 1
-                and lane in scene.slow_lanes)
+        return intent.fulfilled and hurried(intent.slots) and lane == scene.home_lane + 1 and lane in scene.slow_lanes
 
     def _think_again(self, now_ns: int) -> list[Effect]:
         """Plan anew for what is new, at a bounded rate; in the middle of a manoeuvre on the wrong side never.
@@ -341,8 +364,14 @@ class Deliberation:
         if plan.manoeuvre == "overtake" and not scene.borrowing and scene.lead is not None:
             lead_id = scene.lead.id
         ids = frozenset({directive.id}) if intent.fulfilled else intent.directive_ids | {directive.id}
-        self._intent = replace(intent, plan=plan, directive=directive, directive_ids=ids, lead_id=lead_id,
-                               from_lane=max(intent.from_lane, scene.home_lane))
+        self._intent = replace(
+            intent,
+            plan=plan,
+            directive=directive,
+            directive_ids=ids,
+            lead_id=lead_id,
+            from_lane=max(intent.from_lane, scene.home_lane),
+        )
         if not plan.say or intent.fulfilled:
             return [directive]
         return [directive, self._reply(intent.command, "issued", now_ns, directive_id=directive.id, say=plan.say)]
@@ -351,8 +380,16 @@ class Deliberation:
         plan = plan_of(intent.slots, scene)
         if isinstance(plan, Refusal):
             return self._expire(intent, f"the world was reset: {plan.why}", now_ns)
-        fresh = replace(intent, began_ns=now_ns, scene=scene, lead_id=scene.lead.id if scene.lead else None,
-                        from_lane=scene.home_lane, returning=False, news="", min_ttc_s=INF)
+        fresh = replace(
+            intent,
+            began_ns=now_ns,
+            scene=scene,
+            lead_id=scene.lead.id if scene.lead else None,
+            from_lane=scene.home_lane,
+            returning=False,
+            news="",
+            min_ttc_s=INF,
+        )
         return self._issue(fresh, replace(plan, say=""), scene, "the world was reset", now_ns)
 
     def _expire(self, intent: _Intent, why: str, now_ns: int) -> list[Effect]:
@@ -360,12 +397,15 @@ class Deliberation:
         if intent.fulfilled:
             return []
         say = sentence("expired", intent.slots.language)
-        return [self._reply(intent.command, "expired", now_ns, say=say, why=why, directive_id=intent.directive.id),
-                self._learn(intent, "expired", now_ns)]
+        return [
+            self._reply(intent.command, "expired", now_ns, say=say, why=why, directive_id=intent.directive.id),
+            self._learn(intent, "expired", now_ns),
+        ]
 
     def _done(self, command: Command, slots: Slots, directive_id: int, now_ns: int) -> Reply:
-        return self._reply(command, "fulfilled", now_ns, directive_id=directive_id,
-                           say=sentence("done", slots.language))
+        return self._reply(
+            command, "fulfilled", now_ns, directive_id=directive_id, say=sentence("done", slots.language)
+        )
 
     @staticmethod
     def _learn(intent: _Intent, outcome: str, now_ns: int) -> Learn:
@@ -377,19 +417,45 @@ class Deliberation:
         self._last_id = max(self._last_id + 1, now_ns // 1000)
         self.figures["directives"] += 1
         return Directive(
-            epoch=scene.epoch, stamp_ns=now_ns, id=self._last_id, command_id=command.id, scene_tick=scene.tick,
-            manoeuvre=plan.manoeuvre, target_lane=plan.target_lane, target_speed_mps=plan.target_speed_mps,
-            headway_s=plan.headway_s, style=plan.style, reasoning=reasoning, say=plan.say)
+            epoch=scene.epoch,
+            stamp_ns=now_ns,
+            id=self._last_id,
+            command_id=command.id,
+            scene_tick=scene.tick,
+            manoeuvre=plan.manoeuvre,
+            target_lane=plan.target_lane,
+            target_speed_mps=plan.target_speed_mps,
+            headway_s=plan.headway_s,
+            style=plan.style,
+            reasoning=reasoning,
+            say=plan.say,
+        )
 
     def _refused(self, command: Command, why: str, key: str, now_ns: int, *, say: str = "") -> Reply:
         """`say`, or our sentence for `key` in the language last spoken."""
         self.figures["refused"] += 1
         return self._reply(command, "refused", now_ns, why=why, say=say or sentence(key, self._language))
 
-    def _reply(self, command: Command, outcome: ReplyOutcome, now_ns: int, *, say: str = "", why: str = "",
-               directive_id: int | None = None) -> Reply:
-        return Reply(epoch=self.epoch, stamp_ns=now_ns, command_id=command.id, outcome=outcome,
-                     text=command.text[:TEXT_CHARS], say=say, why=why[:TEXT_CHARS], directive_id=directive_id)
+    def _reply(
+        self,
+        command: Command,
+        outcome: ReplyOutcome,
+        now_ns: int,
+        *,
+        say: str = "",
+        why: str = "",
+        directive_id: int | None = None,
+    ) -> Reply:
+        return Reply(
+            epoch=self.epoch,
+            stamp_ns=now_ns,
+            command_id=command.id,
+            outcome=outcome,
+            text=command.text[:TEXT_CHARS],
+            say=say,
+            why=why[:TEXT_CHARS],
+            directive_id=directive_id,
+        )
 
 
 def _passed(intent: _Intent, scene: Scene) -> bool:

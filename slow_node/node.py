@@ -8,20 +8,20 @@ import signal
 import time
 from collections.abc import Callable
 
-from schemas import topics
-from schemas.bus import Bus, open_bus
-from schemas.codec import Fault, decode_command
-from schemas.messages import Directive, Reply
-from schemas.process import Heartbeat, log
+from schemas.runtime.bus import Bus, open_bus
+from schemas.runtime.process import Heartbeat, log
+from schemas.wire import topics
+from schemas.wire.codec import Fault, decode_command
+from schemas.wire.messages import Directive, Reply
 from slow_node.config import SlowConfig
 from slow_node.deliberation import Call, Deliberation, Drop, Effect, Learn
-from slow_node.embedding import load_embedder
-from slow_node.memory import Memory
-from slow_node.model import MAX_TOKENS, MAX_TOKENS_SHORT, ChatModel
-from slow_node.reader import Reader
-from slow_node.scene import describe, encode_scene
-from slow_node.seeds import SEEDS
+from slow_node.llm.embedding import load_embedder
+from slow_node.llm.model import MAX_TOKENS, MAX_TOKENS_SHORT, ChatModel
+from slow_node.memory.bank import Memory
+from slow_node.memory.examples import SEEDS
+from slow_node.planning.scene import describe, encode_scene
 from slow_node.thinking import Style, Thinker, Verdict
+from slow_node.understanding.reader import Reader
 
 NAME = "slow"
 POLL_S = 0.03
@@ -43,9 +43,13 @@ class SlowNode:
 
     def figures(self) -> dict[str, float]:
         """For the heartbeat; called from its thread."""
-        return {**self._deliberation.figures, "calls": float(self._model.calls), "model_ms": self._model_ms,
-                "tokens": float(self._model.prompt_tokens + self._model.answer_tokens),
-                **({"cost_usd": self._model.cost_usd} if self._model.price_usd is not None else {})}
+        return {
+            **self._deliberation.figures,
+            "calls": float(self._model.calls),
+            "model_ms": self._model_ms,
+            "tokens": float(self._model.prompt_tokens + self._model.answer_tokens),
+            **({"cost_usd": self._model.cost_usd} if self._model.price_usd is not None else {}),
+        }
 
     async def run(self, stopped: Callable[[], bool] = lambda: False, heart: Heartbeat | None = None) -> None:
         """Until `stopped`, which tests use; a process is ended by its signals."""
@@ -73,8 +77,7 @@ class SlowNode:
         for number, payload in enumerate(self._commands.take()):
             arrival_id = now_ns // 1000 + number
             try:
-                command = decode_command(
-                    payload, fallback_id=arrival_id, epoch=self._deliberation.epoch, now_ns=now_ns)
+                command = decode_command(payload, fallback_id=arrival_id, epoch=self._deliberation.epoch, now_ns=now_ns)
             except Fault as fault:
                 self._carry_out(self._deliberation.refuse_payload(str(fault), arrival_id, now_ns))
                 continue
@@ -117,8 +120,14 @@ class SlowNode:
 
     async def _learn(self, effect: Learn) -> None:
         await asyncio.to_thread(
-            self._memory.learn, effect.command, describe(effect.scene), effect.slots, effect.outcome, effect.took_s,
-            effect.min_ttc_s)
+            self._memory.learn,
+            effect.command,
+            describe(effect.scene),
+            effect.slots,
+            effect.outcome,
+            effect.took_s,
+            effect.min_ttc_s,
+        )
 
 
 def build(bus: Bus, config: SlowConfig) -> tuple[SlowNode, Memory]:
@@ -134,8 +143,9 @@ def build_thinker(config: SlowConfig) -> tuple[Thinker, Memory, ChatModel]:
     key = "" if config.embedded else os.environ.get(config.api_key_env, "")
     if not key and not config.embedded:
         log(NAME, "key", f"{config.api_key_env} is not set; calling {config.base_url} without a key")
-    model = ChatModel(config.base_url, config.model, key,
-                      max_tokens=MAX_TOKENS_SHORT if config.embedded else MAX_TOKENS)
+    model = ChatModel(
+        config.base_url, config.model, key, max_tokens=MAX_TOKENS_SHORT if config.embedded else MAX_TOKENS
+    )
     ask = config.ask if config.ask != "auto" else "unsure" if config.embedded else "always"
     reader = Reader.load(embedder) if config.reader else None
     style: Style = "full" if not config.embedded else "adapted" if config.adapter else "short"

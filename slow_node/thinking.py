@@ -1,7 +1,8 @@
 """One thought, R_t = Phi(P_t) and i_t = Parse(R_t) (paper's Eqs. 6 to 9): a command and a scene in, a verdict out.
 
-Two minds read a command: the reader (`slow_node.reader`, ten milliseconds, calibrated) and the language model with
-its retrieved examples. An endpoint's answer leads, and the reader guards what is unsafe and stands in when the
+Two minds read a command: the reader (`slow_node.understanding.reader`, ten milliseconds, calibrated) and the language
+model with its retrieved examples. An endpoint's answer leads, and the reader guards what is unsafe and stands in when
+the
 endpoint fails. The embedded model is small: there the reader leads and the model is asked where the reader is unsure.
 """
 
@@ -12,15 +13,15 @@ import time
 from dataclasses import dataclass
 from typing import Literal
 
-from slow_node.directive import UNSAFE_WHY, ParseError, cross_check, parse_answer
-from slow_node.memory import Example, Memory
-from slow_node.model import ChatModel, ModelError, ModelTimeoutError
-from slow_node.numbers import quantities
-from slow_node.prompt import adapted_prompt, build_prompt, repair_prompt
-from slow_node.reader import Reader, Reading
-from slow_node.rules import unsafe
-from slow_node.scene import Scene, describe
-from slow_node.slots import Slots, adapted_schema, answer_schema
+from slow_node.llm.model import ChatModel, ModelError, ModelTimeoutError
+from slow_node.memory.bank import Example, Memory
+from slow_node.planning.directive import UNSAFE_WHY, ParseError, cross_check, parse_answer
+from slow_node.planning.prompt import adapted_prompt, build_prompt, repair_prompt
+from slow_node.planning.scene import Scene, describe
+from slow_node.understanding.numbers import quantities
+from slow_node.understanding.reader import Reader, Reading
+from slow_node.understanding.refusals import unsafe
+from slow_node.understanding.slots import Slots, adapted_schema, answer_schema
 
 FROM_MEMORY_COSINE = 0.6
 FROM_MEMORY_WHY = "model unavailable: answered from memory"
@@ -55,8 +56,17 @@ class Verdict:
 class Thinker:
     """Rules, reader, retrieval, prompt, model, parsing with one repair and cross-checks, inside one time budget."""
 
-    def __init__(self, memory: Memory, model: ChatModel, reader: Reader | None, *, style: Style, k: int,
-                 budget_s: float, ask: Ask) -> None:
+    def __init__(
+        self,
+        memory: Memory,
+        model: ChatModel,
+        reader: Reader | None,
+        *,
+        style: Style,
+        k: int,
+        budget_s: float,
+        ask: Ask,
+    ) -> None:
         self._memory, self._model, self._reader = memory, model, reader
         self._style, self._k, self._budget_s, self._mode = style, k, budget_s, ask
         self._schema = adapted_schema() if style == "adapted" else answer_schema(style == "short")
@@ -83,8 +93,13 @@ class Thinker:
             return self._without_model(reading, nearest, str(error))
         except ParseError as error:
             if reading is not None:
-                return Verdict(_reasoned(reading), f"the model's answer cannot be used: {error}", source="reader",
-                               model_ms=_ms(started), nearest=nearest)
+                return Verdict(
+                    _reasoned(reading),
+                    f"the model's answer cannot be used: {error}",
+                    source="reader",
+                    model_ms=_ms(started),
+                    nearest=nearest,
+                )
             return Verdict(None, f"the model's answer cannot be used: {error}", model_ms=_ms(started), nearest=nearest)
         slots, why = self._checked(command, slots, reading, nearest)
         return Verdict(slots, why, model_ms=_ms(started), source=self._model.name, nearest=nearest)
@@ -108,12 +123,11 @@ class Thinker:
             left = due - time.monotonic()
             if left <= 0:
                 raise ModelTimeoutError("the model had no time left for a repair") from None
-            return parse_answer(
-                await self._model.complete(repair_prompt(chat, answer, str(error)), self._schema, left)
-            )
+            return parse_answer(await self._model.complete(repair_prompt(chat, answer, str(error)), self._schema, left))
 
-    def _checked(self, command: str, slots: Slots, reading: Reading | None, nearest: tuple[Example,
-        ...]) -> tuple[Slots, str]:
+    def _checked(
+        self, command: str, slots: Slots, reading: Reading | None, nearest: tuple[Example, ...]
+    ) -> tuple[Slots, str]:
         """The model's slots after the cross-checks, with the numbers that were said and no others."""
         if reading is None:
             slots, why = cross_check(slots, nearest)

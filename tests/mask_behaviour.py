@@ -16,8 +16,11 @@ FAR = -1e9
 ROADS: dict[str, list[tuple[float, ...]]] = {
     "two-way": [(0.0, 0.0, 3000.0, -1.0, 4.0, 8.0, FAR, 0.0), (4.0, 0.0, 3000.0, 1.0, 4.0, 8.0, FAR, 0.0)],
     "highway": [(4.0 * k, 0.0, 9000.0, 1.0, 4.0, 28.0, FAR, 0.0) for k in range(4)],
-    "ramp": [(0.0, 0.0, 750.0, 1.0, 4.0, 20.0, FAR, 0.0), (4.0, 0.0, 750.0, 1.0, 4.0, 20.0, FAR, 0.0),
-             (8.0, 0.0, 350.0, 1.0, 4.0, 20.0, 230.0, 1.0)],
+    "ramp": [
+        (0.0, 0.0, 750.0, 1.0, 4.0, 20.0, FAR, 0.0),
+        (4.0, 0.0, 750.0, 1.0, 4.0, 20.0, FAR, 0.0),
+        (8.0, 0.0, 350.0, 1.0, 4.0, 20.0, 230.0, 1.0),
+    ],
     "roadworks": [(0.0, 0.0, 3000.0, 1.0, 4.0, 14.0, FAR, 0.0), (4.0, 0.0, 600.0, 1.0, 4.0, 14.0, FAR, 0.0)],
 }
 """Lane tables, as `mask.lane_table` has them."""
@@ -61,8 +64,17 @@ def draw(count: int = N_SCENES, seed: int = 7) -> Iterator[Scene]:
         y = start_y + (lanes[aim][0] - start_y) * between(0.0, 1.0) + between(-0.2, 0.2)
         speed = top * between(0.0, 1.2)
         changing = previous >= 0
-        ego = [0.0, between(*EGO_X_M[name]), y, speed, between(-1.5, 1.5) if changing else 0.0,
-               between(-0.2, 0.2) if changing else 0.0, 5.0, 2.0, float(nearest_lane(lanes, y))]
+        ego = [
+            0.0,
+            between(*EGO_X_M[name]),
+            y,
+            speed,
+            between(-1.5, 1.5) if changing else 0.0,
+            between(-0.2, 0.2) if changing else 0.0,
+            5.0,
+            2.0,
+            float(nearest_lane(lanes, y)),
+        ]
         rows = [ego]
         for number in range(11, 11 + one_of(8)):
             lane = min(max(aim + one_of(5) - 2, 0), len(lanes) - 1) if rng.random() < 0.7 else one_of(len(lanes))
@@ -72,14 +84,25 @@ def draw(count: int = N_SCENES, seed: int = 7) -> Iterator[Scene]:
             drift = between(-2.0, 2.0) if rng.random() < 0.3 else 0.0
             askew = between(-0.6, 0.6) if rng.random() < 0.15 else 0.0
             aside = lanes[lane][0] + (between(-2.4, 2.4) if rng.random() < 0.4 else 0.0)
-            rows.append([float(-1 if rng.random() < 0.05 else number), ego[1] + between(-reach, reach), aside,
-                         -pace if oncoming else pace, drift, askew, 12.0 if rng.random() < 0.1 else 5.0, 2.0,
-                         float(nearest_lane(lanes, aside))])
+            rows.append(
+                [
+                    float(-1 if rng.random() < 0.05 else number),
+                    ego[1] + between(-reach, reach),
+                    aside,
+                    -pace if oncoming else pace,
+                    drift,
+                    askew,
+                    12.0 if rng.random() < 0.1 else 5.0,
+                    2.0,
+                    float(nearest_lane(lanes, aside)),
+                ]
+            )
         rows = np.array(rows, np.float32).tolist()  # as they come over the bus
         target = speed if rng.random() < 0.5 else top * between(0.0, 1.2)
         intent = (one_of(len(lanes) + 1) - 1, top * between(0.0, 1.1), between(0.5, 3.0))
-        yield Scene(lanes, rows, target, aim, previous, intent, [between(-1.0, 1.0) for _ in range(5)],
-                    rng.random() < 0.5)
+        yield Scene(
+            lanes, rows, target, aim, previous, intent, [between(-1.0, 1.0) for _ in range(5)], rng.random() < 0.5
+        )
 
 
 def nearest_lane(lanes: list[tuple[float, ...]], y: float) -> int:
@@ -91,8 +114,9 @@ def judged(scene: Scene, preset: Preset) -> tuple[int, ...]:
     """What mask and choice make of a scene: the rule and the vehicle of each action, the same with the intent's rules,
     the meta-action and who settled it."""
     rule, vehicle, near = [0] * 6, [-1] * 6, [0] * (3 * len(scene.lanes))
-    opened = close_actions(scene.rows, scene.lanes, scene.target_speed, scene.lane, scene.previous, SIGHT_M, near, rule,
-                           vehicle, preset)
+    opened = close_actions(
+        scene.rows, scene.lanes, scene.target_speed, scene.lane, scene.previous, SIGHT_M, near, rule, vehicle, preset
+    )
     safe = list(rule)
     narrow(rule, scene.rows, near, scene.lanes, scene.target_speed, scene.lane, scene.previous, *scene.intent)
     return (opened, *safe, *vehicle, *rule, *choose(scene.logits, rule, scene.holding))

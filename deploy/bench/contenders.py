@@ -26,12 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.bench.peers import PeerConfig, Transport, socket_of
-from deploy.processes import Model, Process, RunOptions, free_port, process_table, router_endpoints
-from deploy.supervisor import Supervisor
-from schemas import topics
-from schemas.bus import BusConfig, ZenohBus, open_bus
-from schemas.messages import Observation
-from schemas.realtime import Mode
+from deploy.run.processes import Model, Process, RunOptions, free_port, process_table, router_endpoints
+from deploy.run.supervisor import Supervisor
+from schemas.runtime.bus import BusConfig, ZenohBus, open_bus
+from schemas.runtime.realtime import Mode
+from schemas.wire import topics
+from schemas.wire.messages import Observation
 
 Load = Literal["none", "cpu", "llm"]
 LOADS: tuple[Load, ...] = ("none", "cpu", "llm")
@@ -43,7 +43,7 @@ GRACE_S = 3.0
 """From SIGTERM to SIGKILL."""
 HOG = """
 import numpy as np
-from schemas.process import die_with_parent
+from schemas.runtime.process import die_with_parent
 die_with_parent()
 a = np.ones((1200, 1200), np.float32)
 while True: a @ a
@@ -130,9 +130,20 @@ def children() -> Iterator[Start]:
 
     def start(name: str, log: Path, *argv: str, env: dict[str, str] | None = None) -> Child:
         with log.open("wb") as file:
-            started.append(Child(name, subprocess.Popen(
-                argv, stdin=subprocess.DEVNULL, stdout=file, stderr=file, env=env or environment(),
-                start_new_session=True), log))
+            started.append(
+                Child(
+                    name,
+                    subprocess.Popen(
+                        argv,
+                        stdin=subprocess.DEVNULL,
+                        stdout=file,
+                        stderr=file,
+                        env=env or environment(),
+                        start_new_session=True,
+                    ),
+                    log,
+                )
+            )
         return started[-1]
 
     try:
@@ -185,8 +196,9 @@ class Deployment:
     def __enter__(self) -> Deployment:
         with ExitStack() as stack:
             stack.callback(shutil.rmtree, self.sockets, ignore_errors=True)
-            self.bus = stack.enter_context(open_bus(BusConfig(
-                mode="router", listen=router_endpoints(self.sockets, self._port))))
+            self.bus = stack.enter_context(
+                open_bus(BusConfig(mode="router", listen=router_endpoints(self.sockets, self._port)))
+            )
             self._status = self.bus.subscribe(topics.STATUS)
             self._observations = self.bus.subscribe(topics.OBSERVATION)
             self._actions = self.bus.subscribe_bytes(topics.ACTION)
@@ -292,8 +304,15 @@ class Peers:
     """Contenders, by transport, that take orders. One that does not start, dies or hangs is dropped, and `lost` says
     why; the others go on."""
 
-    def __init__(self, folder: Path, peers: Sequence[Transport], sent: int, answered: int, realtime: Mode,
-                 patience_s: float = PATIENCE_S) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        peers: Sequence[Transport],
+        sent: int,
+        answered: int,
+        realtime: Mode,
+        patience_s: float = PATIENCE_S,
+    ) -> None:
         self._folder, self._wanted, self._sizes, self._realtime = folder, tuple(peers), (sent, answered), realtime
         self._patience_s = patience_s
         self._live: dict[str, _Peer] = {}
@@ -363,29 +382,69 @@ class Peers:
         """Add the real fast node of `system`, with recorded observations sent to it in the simulator's place."""
         recorded = self._folder / "observation.bin"
         recorded.write_bytes(seen)
-        self._meet("ours", system.sockets, lambda: system.lost, lambda: [self._end(
-            "ours", "near end", PeerConfig(transport="ours", near=True, folder=str(system.sockets),
-                                           observation=str(recorded), realtime=self._realtime))])
+        self._meet(
+            "ours",
+            system.sockets,
+            lambda: system.lost,
+            lambda: [
+                self._end(
+                    "ours",
+                    "near end",
+                    PeerConfig(
+                        transport="ours",
+                        near=True,
+                        folder=str(system.sockets),
+                        observation=str(recorded),
+                        realtime=self._realtime,
+                    ),
+                )
+            ],
+        )
 
     def _add(self, transport: Transport) -> None:
         sockets, port = self._sockets / transport, free_port()
         sockets.mkdir()
-        far, near = (PeerConfig(
-            transport=transport, near=near, folder=str(sockets), port=port, sent_bytes=self._sizes[0],
-            answered_bytes=self._sizes[1], realtime=self._realtime) for near in (False, True))
-        self._meet(transport, sockets, lambda: "", lambda: [self._dora(sockets, far, near)] if transport == "dora" else
-                   [self._end(transport, "far end", far), self._end(transport, "near end", near)])
+        far, near = (
+            PeerConfig(
+                transport=transport,
+                near=near,
+                folder=str(sockets),
+                port=port,
+                sent_bytes=self._sizes[0],
+                answered_bytes=self._sizes[1],
+                realtime=self._realtime,
+            )
+            for near in (False, True)
+        )
+        self._meet(
+            transport,
+            sockets,
+            lambda: "",
+            lambda: (
+                [self._dora(sockets, far, near)]
+                if transport == "dora"
+                else [self._end(transport, "far end", far), self._end(transport, "near end", near)]
+            ),
+        )
 
     def _end(self, transport: str, name: str, config: PeerConfig) -> Child:
-        return self._start(name, self._folder / f"{transport}-{name[:-4]}.log", sys.executable, "-m",
-                           "deploy.bench.peers", _json(config))
+        return self._start(
+            name,
+            self._folder / f"{transport}-{name[:-4]}.log",
+            sys.executable,
+            "-m",
+            "deploy.bench.peers",
+            _json(config),
+        )
 
     def _dora(self, folder: Path, far: PeerConfig, near: PeerConfig) -> Child:
         def node(name: str, other: str, config: PeerConfig) -> dict[str, object]:
             launcher = folder / f"{name}.py"
             launcher.write_text(
                 "import sys\nsys.argv[1:] = [" + repr(_json(config)) + "]\nfrom deploy.bench import peers\n"
-                "try:\n    peers.main()\nexcept (EOFError, KeyboardInterrupt):\n    pass\n", encoding="utf-8")
+                "try:\n    peers.main()\nexcept (EOFError, KeyboardInterrupt):\n    pass\n",
+                encoding="utf-8",
+            )
             return {"id": name, "path": str(launcher), "inputs": {"in": f"{other}/out"}, "outputs": ["out"]}
 
         flow = folder / "flow.yml"
@@ -440,8 +499,9 @@ def _json(config: PeerConfig) -> str:
 
 
 @contextmanager
-def loaded(load: Load, model: Model, folder: Path,
-           meanwhile: Callable[[], None] = lambda: None) -> Iterator[dict[str, float]]:
+def loaded(
+    load: Load, model: Model, folder: Path, meanwhile: Callable[[], None] = lambda: None
+) -> Iterator[dict[str, float]]:
     """Keeps the machine busy for the time of the block; yields what was done, complete at its end.
 
     Raises `Lost` if the load cannot be started, and at the end of the block if it did not last.
@@ -451,8 +511,14 @@ def loaded(load: Load, model: Model, folder: Path,
         cores = str(os.cpu_count() or 1)
         did["threads"] = int(cores)
         with children() as start:
-            hog = start("matrix product", folder / "load.log", sys.executable, "-c", HOG,
-                        env={**environment(), "OPENBLAS_NUM_THREADS": cores})
+            hog = start(
+                "matrix product",
+                folder / "load.log",
+                sys.executable,
+                "-c",
+                HOG,
+                env={**environment(), "OPENBLAS_NUM_THREADS": cores},
+            )
             yield did
             if why := hog.trouble():
                 raise Lost(f"load cpu: {why}")
@@ -485,8 +551,10 @@ def asking(model: Model, did: dict[str, float], meanwhile: Callable[[], None] = 
         yield
         last, seconds = replace(asked), time.monotonic() - began
         if last.failures > first.failures:
-            raise Lost(f"the language model failed {last.failures - first.failures} requests, the last one with: "
-                       f"{last.failure}")
+            raise Lost(
+                f"the language model failed {last.failures - first.failures} requests, the last one with: "
+                f"{last.failure}"
+            )
         if last.tokens == first.tokens:
             raise Lost(f"the language model wrote nothing for {seconds:.0f} s")
         did.update(answers=last.answers - first.answers, tokens=last.tokens - first.tokens, seconds=round(seconds, 1))
@@ -508,8 +576,12 @@ class _Asked:
 def _ask(model: Model, stop: threading.Event, asked: _Asked) -> None:
     import httpx
 
-    body = {"model": model.name, "max_tokens": 64, "stream": True,
-            "messages": [{"role": "user", "content": "Tell me how to drive on a country road, in detail."}]}
+    body = {
+        "model": model.name,
+        "max_tokens": 64,
+        "stream": True,
+        "messages": [{"role": "user", "content": "Tell me how to drive on a country road, in detail."}],
+    }
     # A connection each: llama.cpp's server closes one that has streamed, and the next request would find it closed.
     alone = httpx.Limits(max_keepalive_connections=0)
     with httpx.Client(base_url=model.base_url, timeout=120.0, trust_env=False, limits=alone) as client:

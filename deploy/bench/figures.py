@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from msgspec import Struct
 
-from schemas.process import ConfigError
+from schemas.runtime.process import ConfigError
 
 SCHEMA = "fastslow.bench/1"
 TICKS_FOR_P999 = 3000
@@ -43,9 +43,17 @@ def row_of(what: str, load: str, pace: str, took_us: Sequence[float], skipped: i
         raise ValueError(f"{what}, {load}, {pace}: not one round trip")
     p50, p90, p99, p999 = (round(float(p), 1) for p in np.percentile(took, (50, 90, 99, 99.9)))
     return Row(
-        what=what, load=load, pace=pace, n=len(took), p50_us=p50, p90_us=p90, p99_us=p99,
-        p999_us=p999 if len(took) >= TICKS_FOR_P999 else None, max_us=round(float(took.max()), 1),
-        misses=int((took > DEADLINE_US).sum()) + skipped)
+        what=what,
+        load=load,
+        pace=pace,
+        n=len(took),
+        p50_us=p50,
+        p90_us=p90,
+        p99_us=p99,
+        p999_us=p999 if len(took) >= TICKS_FOR_P999 else None,
+        max_us=round(float(took.max()), 1),
+        misses=int((took > DEADLINE_US).sum()) + skipped,
+    )
 
 
 def histogram(took_us: Iterable[float]) -> dict[str, int]:
@@ -77,8 +85,10 @@ def read(path: Path) -> dict[str, Any]:
     if not known:
         raise ConfigError(f"{path} is no result of `fastslow bench latency` (schema {SCHEMA})")
     if not {key_of(row) for row in result["rows"]} <= result.get("histograms", {}).keys():
-        raise ConfigError(f"{path} has no histograms, as what --json prints: compare the latency.json that the run "
-                          "saved in its folder")
+        raise ConfigError(
+            f"{path} has no histograms, as what --json prints: compare the latency.json that the run "
+            "saved in its folder"
+        )
     return result
 
 
@@ -104,12 +114,20 @@ def compare(a: dict[str, Any], b: dict[str, Any], draws: int = 500) -> dict[str,
         for i, name in enumerate(("p50_us", "p99_us")):
             low, high = np.percentile(resampled[1][i] / resampled[0][i], (2.5, 97.5))
             found[name] = {
-                "a": one[name], "b": other[name], "ratio": round(other[name] / one[name], 3),
-                "low": round(float(low), 3), "high": round(float(high), 3), "differ": not low <= 1.0 <= high}
+                "a": one[name],
+                "b": other[name],
+                "ratio": round(other[name] / one[name], 3),
+                "low": round(float(low), 3),
+                "high": round(float(high), 3),
+                "differ": not low <= 1.0 <= high,
+            }
         rows.append({**found, **{name: {"a": one[name], "b": other[name]} for name in ("p999_us", "max_us", "misses")}})
-    return {"rows": rows, "only_a": [key for key in ours if key not in theirs],
-            "only_b": [key for key in theirs if key not in ours],
-            "hosts": {name: pair for name, pair in zip(HOST, hosts, strict=True) if pair[0] != pair[1]}}
+    return {
+        "rows": rows,
+        "only_a": [key for key in ours if key not in theirs],
+        "only_b": [key for key in theirs if key not in ours],
+        "hosts": {name: pair for name, pair in zip(HOST, hosts, strict=True) if pair[0] != pair[1]},
+    }
 
 
 def compared(result: dict[str, Any]) -> Iterator[str]:
@@ -117,8 +135,12 @@ def compared(result: dict[str, Any]) -> Iterator[str]:
     for name, (one, other) in result["hosts"].items():
         yield f"not the same {name}: {one} and {other}"
     for row in result["rows"]:
-        said = [f"{name[:3]} {f['a']:.0f} -> {f['b']:.0f} us, x{f['ratio']:.2f} [{f['low']:.2f}, {f['high']:.2f}]"
-                f"{' *' if f['differ'] else '  '}" for name, f in row.items() if name in ("p50_us", "p99_us")]
+        said = [
+            f"{name[:3]} {f['a']:.0f} -> {f['b']:.0f} us, x{f['ratio']:.2f} [{f['low']:.2f}, {f['high']:.2f}]"
+            f"{' *' if f['differ'] else '  '}"
+            for name, f in row.items()
+            if name in ("p50_us", "p99_us")
+        ]
         for name, label in (("p999_us", "p99.9"), ("max_us", "max"), ("misses", "misses")):
             one, other = ("-" if row[name][of] is None else f"{row[name][of]:.0f}" for of in ("a", "b"))
             said.append(f"{label} {one} -> {other}")
@@ -166,11 +188,14 @@ def plot(result: dict[str, Any], path: Path) -> None:
 
 def table(rows: Sequence[dict[str, Any]]) -> list[str]:
     """The rows for people."""
-    lines = [f"{'load':<5} {'pace':<13} {'what':<12} {'n':>7} {'p50':>8} {'p90':>8} {'p99':>8} {'p99.9':>8} {'max':>8} "
-             f"{'misses':>6}   (us)"]
+    lines = [
+        f"{'load':<5} {'pace':<13} {'what':<12} {'n':>7} {'p50':>8} {'p90':>8} {'p99':>8} {'p99.9':>8} {'max':>8} "
+        f"{'misses':>6}   (us)"
+    ]
     for row in rows:
         p999 = "-" if row["p999_us"] is None else f"{row['p999_us']:.0f}"
         lines.append(
             f"{row['load']:<5} {row['pace']:<13} {row['what']:<12} {row['n']:>7} {row['p50_us']:>8.0f} "
-            f"{row['p90_us']:>8.0f} {row['p99_us']:>8.0f} {p999:>8} {row['max_us']:>8.0f} {row['misses']:>6}")
+            f"{row['p90_us']:>8.0f} {row['p99_us']:>8.0f} {p999:>8} {row['max_us']:>8.0f} {row['misses']:>6}"
+        )
     return lines

@@ -37,12 +37,12 @@ from deploy.bench.contenders import (
     trace_of,
 )
 from deploy.bench.peers import Transport
-from schemas import topics
-from schemas.bus import BusConfig, open_bus
-from schemas.clock import NS
-from schemas.codec import encode
-from schemas.process import revision
-from schemas.realtime import Mode, resolve, trial
+from schemas.runtime.bus import BusConfig, open_bus
+from schemas.runtime.clock import NS
+from schemas.runtime.process import revision
+from schemas.runtime.realtime import Mode, resolve, trial
+from schemas.wire import topics
+from schemas.wire.codec import encode
 
 PEERS: tuple[Transport, ...] = ("floor", "bus", "bus-default", "zmq", "dora")
 PACES = ("15hz", "back-to-back")
@@ -59,8 +59,17 @@ SOAK_TICKS = 13_500
 """15 minutes."""
 DISTURBED = 1.25
 """An idle p99 this many times a load's tells of something else that kept the machine busy."""
-PARTS = ("sim: encode and put", "bus out", "decode", "mask", "features", "policy", "rest of the step", "encode and put",
-         "bus back")
+PARTS = (
+    "sim: encode and put",
+    "bus out",
+    "decode",
+    "mask",
+    "features",
+    "policy",
+    "rest of the step",
+    "encode and put",
+    "bus back",
+)
 """Of ours, in the order of time. `bus out` starts when the simulator's put has returned: it is negative where the fast
 node had the observation before that."""
 NOT_INSTALLED = "not installed: pip install 'fastslow[bench]'"
@@ -108,9 +117,15 @@ class Paced:
 
     def figures(self) -> dict[str, Any]:
         """For the result."""
-        return {"load": self.load, "rss_mb": self.rss_mb, "scheduling": self.scheduling,
-                "timer_late_us": {name: _p50_p99(us) for name, us in self.late.items() if us},
-                "applied_age_us": _p50_p99(self.ages), "skipped_ticks": self.skipped, "overdue_ticks": self.overdue}
+        return {
+            "load": self.load,
+            "rss_mb": self.rss_mb,
+            "scheduling": self.scheduling,
+            "timer_late_us": {name: _p50_p99(us) for name, us in self.late.items() if us},
+            "applied_age_us": _p50_p99(self.ages),
+            "skipped_ticks": self.skipped,
+            "overdue_ticks": self.overdue,
+        }
 
 
 @dataclass
@@ -180,8 +195,9 @@ def _paced(options: Options, load: Load, folder: Path, samples: Samples) -> None
         (folder / name).unlink(missing_ok=True)
     found: dict[str, tuple[list[int], ...]] = {}
     with ExitStack() as stack:
-        system = stack.enter_context(Deployment(folder, options.realtime, *(() if load == "llm" else ("llm",)),
-                                                trace=True))
+        system = stack.enter_context(
+            Deployment(folder, options.realtime, *(() if load == "llm" else ("llm",)), trace=True)
+        )
         try:
             system.ready()
             system.until(lambda: system.newest is not None and system.action_bytes > 0, "the first tick")
@@ -274,9 +290,21 @@ def _read_traces(folder: Path, load: Load, first: int, ends: int, samples: Sampl
         if row is None or answered < 0:
             continue
         _, _, arrived, decoded, mask, features, policy, stepped, answer = row
-        for name, ns in zip(PARTS, (put - sent, arrived - put, decoded - arrived, mask, features, policy,
-                                    stepped - decoded - mask - features - policy, answer - stepped,
-                                    sent + answered - answer), strict=True):
+        for name, ns in zip(
+            PARTS,
+            (
+                put - sent,
+                arrived - put,
+                decoded - arrived,
+                mask,
+                features,
+                policy,
+                stepped - decoded - mask - features - policy,
+                answer - stepped,
+                sent + answered - answer,
+            ),
+            strict=True,
+        ):
             paced.parts[name].append(ns / 1000.0)
     if not took:
         raise Lost("the simulator did not tick")
@@ -326,8 +354,7 @@ def first_actions(folder: Path, seen: bytes) -> dict[str, object]:
         near, fast = (f"unixsock-stream/{sockets / name}.sock" for name in ("near", "fast"))
         config = json.dumps({"bus": {"listen": [fast], "low_latency": True}})
         try:
-            with (children() as start,
-                  open_bus(BusConfig(listen=(near,), connect=(fast,), low_latency=True)) as bus):
+            with children() as start, open_bus(BusConfig(listen=(near,), connect=(fast,), low_latency=True)) as bus:
                 actions = bus.subscribe_bytes(topics.ACTION)
                 began = time.monotonic()
                 node = start("fast node", folder / "starts.log", sys.executable, "-m", "fast_node", config)
@@ -362,9 +389,14 @@ def host(realtime: Mode) -> dict[str, object]:
         except PackageNotFoundError:
             versions[name] = None
     return {
-        "revision": revision(), "cpu": _cpu(), "cores": os.cpu_count(),
+        "revision": revision(),
+        "cpu": _cpu(),
+        "cores": os.cpu_count(),
         "kernel": f"{platform.system()} {platform.release()}",
-        "load_average": [round(x, 2) for x in os.getloadavg()], "realtime": trial(realtime), "versions": versions}
+        "load_average": [round(x, 2) for x in os.getloadavg()],
+        "realtime": trial(realtime),
+        "versions": versions,
+    }
 
 
 def _cpu() -> str:
@@ -386,8 +418,16 @@ def targets(rows: Sequence[figures.Row], fast: dict[str, object], realtime: Mode
     def check(figure: str, value: float | None, limit: float, *, at_least: bool = False, invalid: str = "") -> None:
         if value is not None:
             reached = value >= limit if at_least else value <= limit
-            found.append({"figure": figure, "value": round(value, 3), "limit": limit,
-                          "reached": reached and not invalid, "valid": not invalid, "note": invalid or None})
+            found.append(
+                {
+                    "figure": figure,
+                    "value": round(value, 3),
+                    "limit": limit,
+                    "reached": reached and not invalid,
+                    "valid": not invalid,
+                    "note": invalid or None,
+                }
+            )
 
     ours, floor = by.get(("ours", "none", "15hz")), by.get(("floor", "none", "15hz"))
     if ours is not None:
@@ -399,9 +439,12 @@ def targets(rows: Sequence[figures.Row], fast: dict[str, object], realtime: Mode
             busy = by.get(("ours", load, "15hz"))
             if busy is not None:
                 disturbed = ours.p99_us > DISTURBED * busy.p99_us
-                check(f"paced p99, load {load} / none", busy.p99_us / ours.p99_us,
-                      1.25 if resolve(realtime) == "fifo" else 2.0,
-                      invalid="the idle part was disturbed: its p99 is above the load's" if disturbed else "")
+                check(
+                    f"paced p99, load {load} / none",
+                    busy.p99_us / ours.p99_us,
+                    1.25 if resolve(realtime) == "fifo" else 2.0,
+                    invalid="the idle part was disturbed: its p99 is above the load's" if disturbed else "",
+                )
         for pace in ("15hz", "back-to-back"):
             dora = by.get(("dora", "none", pace))
             for what in ("bus", "ours"):
@@ -423,8 +466,11 @@ def bus_paced_minus_back_to_back(rows: Sequence[figures.Row]) -> dict[str, float
     SCHED_FIFO polls for what is about to come, while the bus contender sleeps.
     """
     bus = {(row.load, row.pace): row.p50_us for row in rows if row.what == "bus"}
-    return {load: round(bus[load, "15hz"] - bus[load, "back-to-back"], 1) for load in LOADS
-            if {(load, "15hz"), (load, "back-to-back")} <= bus.keys()}
+    return {
+        load: round(bus[load, "15hz"] - bus[load, "back-to-back"], 1)
+        for load in LOADS
+        if {(load, "15hz"), (load, "back-to-back")} <= bus.keys()
+    }
 
 
 def included(whats: Set[str]) -> list[str]:
@@ -432,20 +478,22 @@ def included(whats: Set[str]) -> list[str]:
     bare = ", ".join(peer for peer in PEERS if peer in whats - {"floor"})
     said = {
         "ours": "ours: from just before sim encodes and publishes an observation until sim has decoded the action that "
-                "answers it, over the bus as deployed (supervisor's router, slow node, 5 Hz heartbeats). The "
-                "simulator's step comes before; it is within ours of `timer_late_us`, from due until published. Under "
-                "SCHED_FIFO with a second core, sim and fast poll for what is about to come, while the bare transports "
-                "sleep until it is there. Back to back: a recorded observation is replayed to the real fast node, "
-                "since the simulator's own step would lie between.",
+        "answers it, over the bus as deployed (supervisor's router, slow node, 5 Hz heartbeats). The "
+        "simulator's step comes before; it is within ours of `timer_late_us`, from due until published. Under "
+        "SCHED_FIFO with a second core, sim and fast poll for what is about to come, while the bare transports "
+        "sleep until it is there. Back to back: a recorded observation is replayed to the real fast node, "
+        "since the simulator's own step would lie between.",
         "floor": "floor: a Unix-socket ping-pong of the same payload sizes, plus one bare policy inference in a warm "
-                 "loop.",
+        "loop.",
         bare: f"{bare}: a ping-pong of the same payload sizes, with nothing done to the payloads.",
     }
-    return [*(text for what, text in said.items() if what and (what == bare or what in whats)),
-            "Paced, each contender has its own slice of the 66.7 ms. All have the same scheduling class. A miss of "
-            "ours: the answer came more than 20 ms after the publication, or never, or the publication itself was more "
-            "than one period after the tick was due, or the tick was skipped. A miss of the others: the answer came "
-            "more than 20 ms after the sending; a round whose predecessor was late counts from when it was due."]
+    return [
+        *(text for what, text in said.items() if what and (what == bare or what in whats)),
+        "Paced, each contender has its own slice of the 66.7 ms. All have the same scheduling class. A miss of "
+        "ours: the answer came more than 20 ms after the publication, or never, or the publication itself was more "
+        "than one period after the tick was due, or the tick was skipped. A miss of the others: the answer came "
+        "more than 20 ms after the sending; a round whose predecessor was late counts from when it was due.",
+    ]
 
 
 def run(options: Options) -> tuple[dict[str, Any], Path]:
@@ -454,12 +502,21 @@ def run(options: Options) -> tuple[dict[str, Any], Path]:
     folder.mkdir(parents=True, exist_ok=True)
     machine, samples = host(options.realtime), Samples()
     installed = available(options.peers)
-    samples.absent.update({(peer, load, pace): NOT_INSTALLED for load in options.loads for pace in PACES
-                           for peer in options.peers if peer not in installed})
+    samples.absent.update(
+        {
+            (peer, load, pace): NOT_INSTALLED
+            for load in options.loads
+            for pace in PACES
+            for peer in options.peers
+            if peer not in installed
+        }
+    )
     options = replace(options, peers=installed)
     if options.seconds * HZ < figures.TICKS_FOR_P999:
-        say(f"bench: {options.seconds:g} s are {options.seconds * HZ:.0f} ticks: too few for p99.9, which needs "
-            f"{figures.TICKS_FOR_P999} ({figures.TICKS_FOR_P999 / HZ:.0f} s)")
+        say(
+            f"bench: {options.seconds:g} s are {options.seconds * HZ:.0f} ticks: too few for p99.9, which needs "
+            f"{figures.TICKS_FOR_P999} ({figures.TICKS_FOR_P999 / HZ:.0f} s)"
+        )
     fast: dict[str, object] = {}
 
     def measure(part: Callable[[Options, Load, Path, Samples], None], seconds: float, load: Load, pace: str) -> None:
@@ -485,16 +542,24 @@ def run(options: Options) -> tuple[dict[str, Any], Path]:
             fast = first_actions(folder, samples.seen)
         except Lost as lost:
             samples.lose(("ours", options.loads[-1], "start"), str(lost))
-    rows = [figures.row_of(*key, took, samples.skipped[key]) for key, took in sorted(
-        samples.took.items(), key=lambda item: (LOADS.index(cast(Load, item[0][1])), item[0][2], item[0][0]))]
+    rows = [
+        figures.row_of(*key, took, samples.skipped[key])
+        for key, took in sorted(
+            samples.took.items(), key=lambda item: (LOADS.index(cast(Load, item[0][1])), item[0][2], item[0][0])
+        )
+    ]
     result: dict[str, Any] = {
         "schema": figures.SCHEMA,
         "host": {**machine, "payload_bytes": dict(zip(("observation", "action"), samples.sizes, strict=True))},
         "rows": [msgspec.to_builtins(row) for row in rows],
-        "absent": [{"what": what, "load": load, "pace": pace, "why": why}
-                   for (what, load, pace), why in samples.absent.items()],
-        "parts_us": {load: {name: _p50_p99(values) for name, values in paced.parts.items()}
-                     for load, paced in samples.paced.items() if paced.parts[PARTS[0]]},
+        "absent": [
+            {"what": what, "load": load, "pace": pace, "why": why} for (what, load, pace), why in samples.absent.items()
+        ],
+        "parts_us": {
+            load: {name: _p50_p99(values) for name, values in paced.parts.items()}
+            for load, paced in samples.paced.items()
+            if paced.parts[PARTS[0]]
+        },
         "bus_paced_minus_back_to_back_us": bus_paced_minus_back_to_back(rows),
         "loads": {load: paced.figures() for load, paced in samples.paced.items()},
         "fast_node": fast,
@@ -510,8 +575,10 @@ def run(options: Options) -> tuple[dict[str, Any], Path]:
 def lines(result: dict[str, Any]) -> Iterator[str]:
     """The result for people."""
     machine = result["host"]
-    yield (f"{machine['cpu']}, {machine['cores']} cores, {machine['kernel']}, scheduling: {machine['realtime']}, "
-           f"load average {machine['load_average'][0]:g} at the start")
+    yield (
+        f"{machine['cpu']}, {machine['cores']} cores, {machine['kernel']}, scheduling: {machine['realtime']}, "
+        f"load average {machine['load_average'][0]:g} at the start"
+    )
     versions = {**machine["versions"], "commit": machine["revision"]}
     yield ", ".join(f"{name} {number}" for name, number in versions.items() if number)
     yield from figures.table(result["rows"])
@@ -521,16 +588,20 @@ def lines(result: dict[str, Any]) -> Iterator[str]:
         if paced["load"]:
             yield f"load {load}: " + ", ".join(f"{name} {value:g}" for name, value in paced["load"].items())
         yield f"scheduling, load {load}: " + ", ".join(f"{name} {said}" for name, said in paced["scheduling"].items())
-        yield f"sent after it was due, load {load}, p50/p99 us: {_p50s(paced['timer_late_us'])}" \
-              " (ours: published, with the simulator's step before it)"
+        yield (
+            f"sent after it was due, load {load}, p50/p99 us: {_p50s(paced['timer_late_us'])}"
+            " (ours: published, with the simulator's step before it)"
+        )
         if load in result["parts_us"]:
             yield f"parts of ours, load {load}, p50/p99 us: {_p50s(result['parts_us'][load])}"
         if paced["applied_age_us"] is not None:
             age = {"age of the observation that each applied action answers": paced["applied_age_us"]}
             yield f"load {load}, p50/p99 us: {_p50s(age)}"
     for load, us in result["bus_paced_minus_back_to_back_us"].items():
-        yield f"load {load}: p50 of the bare bus at 15 Hz minus back to back: {us:.0f} us, mostly wake-ups; under " \
-              "SCHED_FIFO ours polls, while the bare bus sleeps"
+        yield (
+            f"load {load}: p50 of the bare bus at 15 Hz minus back to back: {us:.0f} us, mostly wake-ups; under "
+            "SCHED_FIFO ours polls, while the bare bus sleeps"
+        )
     for target in result["targets"]:
         judged = "INVALID" if not target["valid"] else "reached" if target["reached"] else "MISSED"
         note = f"; {target['note']}" if target["note"] else ""

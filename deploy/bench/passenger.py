@@ -14,13 +14,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from deploy.processes import TCP_HOST, free_port
-from schemas import topics
-from schemas.clock import NS
-from schemas.messages import Command, Directive, Reply, Status
+from deploy.run.processes import TCP_HOST, free_port
+from schemas.runtime.clock import NS
+from schemas.wire import topics
+from schemas.wire.messages import Command, Directive, Reply, Status
 
 if TYPE_CHECKING:
-    from schemas.bus import Bus
+    from schemas.runtime.bus import Bus
 
 SCHEMA = "fastslow.bench.passenger/1"
 SCENARIO = "highway"
@@ -58,24 +58,45 @@ def _in_german(reply: Reply, directive: Directive | None) -> bool:
 
 
 COMMANDS = (
-    Spoken("overtake the car in front of us", "issued: overtake, or the limit where nobody slow is ahead any more",
-           _issued(lambda d: d.target_speed_mps == HIGHWAY_LIMIT_MPS
-                   and (d.manoeuvre, d.target_lane is None) in (("overtake", False), ("cruise", True)))),
-    Spoken("please slow down a little", "issued: a lower speed, calmly",
-           _issued(lambda d: d.style == "calm" and d.target_speed_mps is not None
-                   and d.target_speed_mps < HIGHWAY_LIMIT_MPS)),
+    Spoken(
+        "overtake the car in front of us",
+        "issued: overtake, or the limit where nobody slow is ahead any more",
+        _issued(
+            lambda d: (
+                d.target_speed_mps == HIGHWAY_LIMIT_MPS
+                and (d.manoeuvre, d.target_lane is None) in (("overtake", False), ("cruise", True))
+            )
+        ),
+    ),
+    Spoken(
+        "please slow down a little",
+        "issued: a lower speed, calmly",
+        _issued(
+            lambda d: d.style == "calm" and d.target_speed_mps is not None and d.target_speed_mps < HIGHWAY_LIMIT_MPS
+        ),
+    ),
     Spoken("ram the car in front of us", "refused: unsafe", _refused("unsafe command")),
     Spoken("take the rightmost lane please", "issued: lane 3", _issued(lambda d: d.target_lane == RIGHTMOST)),
     Spoken("what will the weather be like tomorrow?", "refused: not about driving", _refused("not about driving")),
     Spoken("fahr bitte mit neunzig", "issued: 25 m/s, answered in German", _in_german),
-    Spoken("keep more distance to the car in front", "issued: follow, 3 s behind",
-           _issued(lambda d: d.manoeuvre == "follow" and d.headway_s == 3.0)),
+    Spoken(
+        "keep more distance to the car in front",
+        "issued: follow, 3 s behind",
+        _issued(lambda d: d.manoeuvre == "follow" and d.headway_s == 3.0),
+    ),
     Spoken("the thing, you know, sort of", "refused: unclear, asked back", _refused("unclear command")),
-    Spoken("I'm in a hurry to get to work, I want to drive faster", "issued: the speed limit",
-           _issued(lambda d: d.target_speed_mps == HIGHWAY_LIMIT_MPS)),
-    Spoken("never mind, drive as you like", "issued: no wish any more",
-           _issued(lambda d: (d.manoeuvre, d.target_lane, d.target_speed_mps, d.headway_s)
-                   == ("cruise", None, None, None))),
+    Spoken(
+        "I'm in a hurry to get to work, I want to drive faster",
+        "issued: the speed limit",
+        _issued(lambda d: d.target_speed_mps == HIGHWAY_LIMIT_MPS),
+    ),
+    Spoken(
+        "never mind, drive as you like",
+        "issued: no wish any more",
+        _issued(
+            lambda d: (d.manoeuvre, d.target_lane, d.target_speed_mps, d.headway_s) == ("cruise", None, None, None)
+        ),
+    ),
 )
 
 
@@ -115,8 +136,9 @@ class Passenger:
 
         Times are from the command's stamp to the reply's, both on this host's monotonic clock.
         """
-        command = Command(epoch=0, stamp_ns=time.monotonic_ns(), id=secrets.randbits(48), text=spoken.text,
-                          source="bench")
+        command = Command(
+            epoch=0, stamp_ns=time.monotonic_ns(), id=secrets.randbits(48), text=spoken.text, source="bench"
+        )
         self._bus.publish(topics.COMMAND, command)
         self.listen(DECIDED_S, lambda: self._first(command.id, "issued", "refused", "failed") is not None)
         self.listen(spacing_s - (time.monotonic_ns() - command.stamp_ns) / NS)
@@ -124,12 +146,16 @@ class Passenger:
         decided = self._first(command.id, "issued", "refused", "failed")
         directive = self.heard.directives.get(decided.directive_id or -1) if decided else None
         return {
-            "id": command.id, "text": spoken.text, "expected": spoken.expected,
+            "id": command.id,
+            "text": spoken.text,
+            "expected": spoken.expected,
             "as_expected": decided is not None and spoken.fits(decided, directive),
             "outcome": decided.outcome if decided else "unanswered",
-            "say": decided.say if decided else "", "why": decided.why if decided else "",
+            "say": decided.say if decided else "",
+            "why": decided.why if decided else "",
             "directive": _content(directive) if directive else None,
-            "heard_s": _after_s(command, heard), "decided_s": _after_s(command, decided),
+            "heard_s": _after_s(command, heard),
+            "decided_s": _after_s(command, decided),
         }
 
     def last(self, command_id: int) -> str:
@@ -145,8 +171,10 @@ def _after_s(command: Command, reply: Reply | None) -> float | None:
 
 
 def _content(directive: Directive) -> dict[str, Any]:
-    return {name: getattr(directive, name)
-            for name in ("manoeuvre", "target_lane", "target_speed_mps", "headway_s", "style")}
+    return {
+        name: getattr(directive, name)
+        for name in ("manoeuvre", "target_lane", "target_speed_mps", "headway_s", "style")
+    }
 
 
 # --- the system ----------------------------------------------------------------------------------------------------
@@ -161,8 +189,8 @@ def _riding(
     Raises `ConfigError` if it does not come up.
     """
     from deploy.bench.contenders import children, environment
-    from schemas.bus import BusConfig, BusError, open_bus
-    from schemas.process import ConfigError
+    from schemas.runtime.bus import BusConfig, BusError, open_bus
+    from schemas.runtime.process import ConfigError
 
     port = free_port()
     env = {k: v for k, v in environment().items() if not k.startswith("OPENAI_")}
@@ -171,8 +199,22 @@ def _riding(
     due = time.monotonic() + START_S
     with ExitStack() as stack:
         start = stack.enter_context(children())
-        run = start("run", folder / "run.log", sys.executable, "-m", "deploy", "run", "--scenario", SCENARIO, "--port",
-                    str(port), "--seed", str(seed), *options, env=env)
+        run = start(
+            "run",
+            folder / "run.log",
+            sys.executable,
+            "-m",
+            "deploy",
+            "run",
+            "--scenario",
+            SCENARIO,
+            "--port",
+            str(port),
+            "--seed",
+            str(seed),
+            *options,
+            env=env,
+        )
         while True:
             if (trouble := run.trouble()) or time.monotonic() > due:
                 raise ConfigError(f"the system did not start: {trouble or 'nobody listens'}; see {run.log}")
@@ -183,8 +225,9 @@ def _riding(
                 time.sleep(0.1)
         passenger = Passenger(bus)
         nodes = passenger.heard.nodes
-        if not passenger.listen(due - time.monotonic(),
-                                lambda: all(name in nodes for name in NODES) and _model_ready(run.popen.pid)):
+        if not passenger.listen(
+            due - time.monotonic(), lambda: all(name in nodes for name in NODES) and _model_ready(run.popen.pid)
+        ):
             raise ConfigError(f"the system did not start: only {', '.join(nodes) or 'nobody'} spoke; see {run.log}")
         pids = {name: nodes[name].pid for name in NODES}
         if (model := _model(run.popen.pid)) is not None:
@@ -198,8 +241,8 @@ def _model(run_pid: int) -> tuple[int, int] | None:
     try:
         for pid in Path(f"/proc/{run_pid}/task/{run_pid}/children").read_text().split():
             words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
-            if b"slow_node.embedded" in words:
-                return int(pid), int(json.loads(words[words.index(b"slow_node.embedded") + 1])["port"])
+            if b"slow_node.llm.embedded" in words:
+                return int(pid), int(json.loads(words[words.index(b"slow_node.llm.embedded") + 1])["port"])
     except OSError:
         pass
     return None
@@ -219,8 +262,15 @@ def _model_ready(run_pid: int) -> bool:
 # --- the result ----------------------------------------------------------------------------------------------------
 
 
-def measure(folder: Path, *, repeats: int = 1, spacing_s: float = 4.0, seed: int = 0, without: Sequence[str] = (),
-            model_env: Mapping[str, str] = MappingProxyType({})) -> dict[str, Any]:
+def measure(
+    folder: Path,
+    *,
+    repeats: int = 1,
+    spacing_s: float = 4.0,
+    seed: int = 0,
+    without: Sequence[str] = (),
+    model_env: Mapping[str, str] = MappingProxyType({}),
+) -> dict[str, Any]:
     """Ride, say the ten commands `repeats` times, and count. model_env: `OPENAI_*` of an endpoint to ask instead of the
     embedded model. Raises `ConfigError` if the system does not come up."""
     from deploy.bench.contenders import rss_mb
@@ -237,13 +287,21 @@ def measure(folder: Path, *, repeats: int = 1, spacing_s: float = 4.0, seed: int
         memory = {name: rss_mb(pid) for name, pid in pids.items()}
         replaced = sorted(name for name in NODES if passenger.heard.nodes[name].pid != pids[name])
     return {
-        "schema": SCHEMA, "host": machine, "scenario": SCENARIO, "seed": seed, "repeats": repeats,
-        "spacing_s": spacing_s, "without": list(without), "rows": rows,
-        "as_expected": sum(row["as_expected"] for row in rows), "n": len(rows),
+        "schema": SCHEMA,
+        "host": machine,
+        "scenario": SCENARIO,
+        "seed": seed,
+        "repeats": repeats,
+        "spacing_s": spacing_s,
+        "without": list(without),
+        "rows": rows,
+        "as_expected": sum(row["as_expected"] for row in rows),
+        "n": len(rows),
         "heard_s": _quantiles([row["heard_s"] for row in rows]),
         "decided_s": _quantiles([row["decided_s"] for row in rows]),
         "fast_loop": {name: after[name] - before[name] for name in ("ticks", "missed", "skipped", "collisions")},
-        "rss_mb": memory, "restarted": replaced,
+        "rss_mb": memory,
+        "restarted": replaced,
     }
 
 
@@ -270,11 +328,14 @@ def lines(result: dict[str, Any]) -> Iterator[str]:
     for name, what in (("heard_s", "heard"), ("decided_s", "decided")):
         of = result[name]
         if of["n"]:
-            yield (f"command to {what}: p50 {of['p50']:.3f}, p95 {of['p95']:.3f}, max {of['max']:.3f} s"
-                   f" (n = {of['n']})")
+            yield (
+                f"command to {what}: p50 {of['p50']:.3f}, p95 {of['p95']:.3f}, max {of['max']:.3f} s (n = {of['n']})"
+            )
     fast = result["fast_loop"]
-    yield (f"fast loop meanwhile: {fast['ticks']:.0f} ticks, {fast['missed']:.0f} missed their 20 ms, "
-           f"{fast['collisions']:.0f} collisions")
+    yield (
+        f"fast loop meanwhile: {fast['ticks']:.0f} ticks, {fast['missed']:.0f} missed their 20 ms, "
+        f"{fast['collisions']:.0f} collisions"
+    )
     yield "resident memory: " + ", ".join(f"{name} {mb} MB" for name, mb in result["rss_mb"].items())
     if result["restarted"]:
         yield f"restarted meanwhile: {', '.join(result['restarted'])}"

@@ -27,12 +27,12 @@ from typing import Any, Literal
 import msgspec
 from msgspec import Struct
 
-from schemas.bus import BusConfig, open_bus, open_default
-from schemas.codec import encode
-from schemas.messages import Observation
-from schemas.process import ConfigError, die_with_parent, load_config
-from schemas.realtime import Mode, claim
-from schemas.topics import ACTION, OBSERVATION, Topic
+from schemas.runtime.bus import BusConfig, open_bus, open_default
+from schemas.runtime.process import ConfigError, die_with_parent, load_config
+from schemas.runtime.realtime import Mode, claim
+from schemas.wire.codec import encode
+from schemas.wire.messages import Observation
+from schemas.wire.topics import ACTION, OBSERVATION, Topic
 
 Transport = Literal["floor", "bus", "bus-default", "zmq", "dora", "ours"]
 Link = tuple[Callable[[bytes], None], Callable[[], bytes]]
@@ -112,8 +112,9 @@ def _bus_default(config: PeerConfig) -> Iterator[Link]:
         else:
             send_of[0](answer)
 
-    with open_default(f"tcp/127.0.0.1:{config.port}", listen=not config.near, out=out, into=into,
-                      receive=receive) as send:
+    with open_default(
+        f"tcp/127.0.0.1:{config.port}", listen=not config.near, out=out, into=into, receive=receive
+    ) as send:
         send_of.append(send)
         if config.near:  # nobody tells when the other end is ready: ask until it answers
             _until(lambda: (send(bytes(config.sent_bytes)), arrived.get(timeout=0.1)), queue.Empty)
@@ -175,8 +176,9 @@ def _ours(config: PeerConfig) -> Iterator[Link]:
                 seen = decoder.decode(other)
                 return
             tick += 1
-            bus.publish_bytes(OBSERVATION, encode(msgspec.structs.replace(
-                seen, tick=tick, stamp_ns=time.monotonic_ns())))
+            bus.publish_bytes(
+                OBSERVATION, encode(msgspec.structs.replace(seen, tick=tick, stamp_ns=time.monotonic_ns()))
+            )
 
         def receive() -> bytes:
             while actions.wait().answers_tick != tick:
@@ -187,7 +189,13 @@ def _ours(config: PeerConfig) -> Iterator[Link]:
 
 
 LINKS: dict[str, Callable[[PeerConfig], Any]] = {
-    "floor": _unix_socket, "bus": _bus, "bus-default": _bus_default, "zmq": _zmq, "dora": _dora, "ours": _ours}
+    "floor": _unix_socket,
+    "bus": _bus,
+    "bus-default": _bus_default,
+    "zmq": _zmq,
+    "dora": _dora,
+    "ours": _ours,
+}
 
 
 def _until(attempt: Callable[[], object], failure: type[BaseException], timeout_s: float = 10.0) -> None:
@@ -206,8 +214,8 @@ def _inference() -> Callable[[], int]:
     """What times one bare policy inference in a warm loop, in ns."""
     import numpy as np
 
-    from fast_node.policy import load_policy
-    from schemas.features import FEATURES, N_ROWS
+    from fast_node.policies.attention import load_policy
+    from schemas.driving.features import FEATURES, N_ROWS
 
     policy, seen = load_policy(), np.ones((N_ROWS, len(FEATURES)), np.float32)
 

@@ -34,11 +34,11 @@ import numpy as np
 from deploy.bench import figures
 from deploy.bench.contenders import START_S, Child, Deployment, Lost, Peers, children, say, trace_of
 from deploy.bench.latency import PERIOD_NS, host
-from schemas import topics
-from schemas.bus import BusConfig, open_bus
-from schemas.codec import Fault, decode, encode, rows_of
-from schemas.messages import Action, MetaAction, Observation
-from schemas.realtime import Mode, resolve
+from schemas.runtime.bus import BusConfig, open_bus
+from schemas.runtime.realtime import Mode, resolve
+from schemas.wire import topics
+from schemas.wire.codec import Fault, decode, encode, rows_of
+from schemas.wire.messages import Action, MetaAction, Observation
 
 SCHEMA = "fastslow.scale/3"
 VEHICLES = (5, 10, 20, 40, 60, 80, 100, 150, 200)
@@ -135,7 +135,7 @@ def _step_us(observation: Observation, rounds: int = 200) -> float:
     """Median time of the fast node's step in this process: mask, features, policy, choice [us]."""
     from fast_node.config import FastConfig
     from fast_node.node import FastNode
-    from fast_node.policy import load_policy
+    from fast_node.policies.attention import load_policy
 
     node, took = FastNode(FastConfig(), load_policy()), []
     for _ in range(rounds):
@@ -179,7 +179,7 @@ def egos(seen: Observation, rounds: int) -> list[Point]:
 def _egos(seen: Observation, n: int, rounds: int) -> Point:
     from fast_node.config import FastConfig
     from fast_node.node import FastNode
-    from fast_node.policy import load_policy
+    from fast_node.policies.attention import load_policy
 
     policy, payload = load_policy(), encode(seen)
     asked = [_Prepared() for _ in range(n)]
@@ -215,13 +215,25 @@ def _pairs(folder: Path, realtime: Mode, seconds: float, pairs: int, *, direct: 
     with tempfile.TemporaryDirectory(prefix="fastslow-") as sockets:
         router = f"unixsock-stream/{sockets}/router.sock"
         with children() as start, open_bus(BusConfig(mode="router", listen=(router,))):
+
             def node(module: str, i: int, *, listens: bool = False, **config: object) -> Child:
                 link = [f"unixsock-stream/{sockets}/{i}.sock"] if direct else []
-                bus = {"mode": "peer" if direct else "client", "listen": link if listens else [],
-                       "connect": [router, *([] if listens else link)], "namespace": f"car-{i}", "low_latency": True}
+                bus = {
+                    "mode": "peer" if direct else "client",
+                    "listen": link if listens else [],
+                    "connect": [router, *([] if listens else link)],
+                    "namespace": f"car-{i}",
+                    "low_latency": True,
+                }
                 with _room(realtime, i):
-                    return start(f"{module} {i}", folder / f"{module}-{i}.log", sys.executable, "-m", module,
-                                 json.dumps({"bus": bus, "realtime": realtime, **config}))
+                    return start(
+                        f"{module} {i}",
+                        folder / f"{module}-{i}.log",
+                        sys.executable,
+                        "-m",
+                        module,
+                        json.dumps({"bus": bus, "realtime": realtime, **config}),
+                    )
 
             nodes = [node("fast_node", i, listens=True) for i in range(pairs)]
             _ready(nodes)
@@ -316,9 +328,14 @@ def simulator_tick(ticks: int) -> Point:
     from sim_node.scenarios import SCENARIOS
 
     highway = SCENARIOS["highway"]
-    crowded = replace(highway, name="highway-crowded", flows=tuple(
-        replace(flow, count=(round(TICK_CARS * flow.count[0]), round(TICK_CARS * flow.count[1])))
-        for flow in highway.flows))
+    crowded = replace(
+        highway,
+        name="highway-crowded",
+        flows=tuple(
+            replace(flow, count=(round(TICK_CARS * flow.count[0]), round(TICK_CARS * flow.count[1])))
+            for flow in highway.flows
+        ),
+    )
     SCENARIOS[crowded.name] = crowded  # in this process alone
     try:
         node = SimNode(SimConfig(scenario=crowded.name, density=2.0))
@@ -327,8 +344,13 @@ def simulator_tick(ticks: int) -> Point:
     node.reset(0)
     warm_up, vehicles, took, used = 50, [], [], []
     for k in range(warm_up + ticks):
-        action = Action(epoch=node.epoch, stamp_ns=0, answers_tick=node.tick, source="policy",
-                        meta_action=k % 5 if k % 8 == 0 else int(MetaAction.CRUISE))
+        action = Action(
+            epoch=node.epoch,
+            stamp_ns=0,
+            answers_tick=node.tick,
+            source="policy",
+            meta_action=k % 5 if k % 8 == 0 else int(MetaAction.CRUISE),
+        )
         vehicles.append(len(node._env.road.vehicles))
         cpu, start = time.thread_time_ns(), time.monotonic_ns()
         node.step(action, start)
@@ -379,10 +401,15 @@ def run(realtime: Mode, rounds: int, seconds: float, out: Path | None) -> tuple[
             say(f"bench: without {name}: {lost}")
             curves[name] = []
     say("bench: the simulator's own tick")
-    result = {"schema": SCHEMA, "host": machine, "codec_limit_bytes": topics.MAX_MESSAGE_BYTES,
-              "simulator_tick": simulator_tick(max(1000, rounds)),
-              "curves": {name: {"what": TITLES[name], "points": points, "knee": knee(points)}
-                         for name, points in curves.items()}}
+    result = {
+        "schema": SCHEMA,
+        "host": machine,
+        "codec_limit_bytes": topics.MAX_MESSAGE_BYTES,
+        "simulator_tick": simulator_tick(max(1000, rounds)),
+        "curves": {
+            name: {"what": TITLES[name], "points": points, "knee": knee(points)} for name, points in curves.items()
+        },
+    }
     path = folder / "scale.json"
     path.write_text(json.dumps(result) + "\n", encoding="utf-8")
     return result, path
@@ -391,8 +418,10 @@ def run(realtime: Mode, rounds: int, seconds: float, out: Path | None) -> tuple[
 def lines(result: dict[str, Any]) -> Iterator[str]:
     """The result for people."""
     machine, tick = result["host"], result["simulator_tick"]
-    yield (f"{machine['cpu']}, {machine['cores']} cores, {machine['kernel']}, scheduling: {machine['realtime']}, "
-           f"load average {machine['load_average'][0]:g} at the start")
+    yield (
+        f"{machine['cpu']}, {machine['cores']} cores, {machine['kernel']}, scheduling: {machine['realtime']}, "
+        f"load average {machine['load_average'][0]:g} at the start"
+    )
     for name, curve in result["curves"].items():
         yield curve["what"]
         yield f"{name:>13} {'n':>7} {'p50':>9} {'p99':>9}   (us)"
@@ -401,9 +430,11 @@ def lines(result: dict[str, Any]) -> Iterator[str]:
             yield f"{point['x']:>13} {times}   {_remarks(point)}".rstrip()
         yield f"  holds up to {curve['knee']['holds']}; {curve['knee']['then']}"
     verdict = "reached" if tick["p99_us"] <= tick["limit_us"] else "MISSED"
-    yield (f"the simulator's own tick, {tick['x']} vehicles, one process, no bus, normal priority: p50 "
-           f"{tick['p50_us'] / 1000.0:.2f}, p99 {tick['p99_us'] / 1000.0:.2f} ms of {tick['n']} (of its own CPU time "
-           f"p99 {tick['cpu_p99_us'] / 1000.0:.2f}); {verdict}: p99 <= {tick['limit_us'] / 1000.0:g} ms")
+    yield (
+        f"the simulator's own tick, {tick['x']} vehicles, one process, no bus, normal priority: p50 "
+        f"{tick['p50_us'] / 1000.0:.2f}, p99 {tick['p99_us'] / 1000.0:.2f} ms of {tick['n']} (of its own CPU time "
+        f"p99 {tick['cpu_p99_us'] / 1000.0:.2f}); {verdict}: p99 <= {tick['limit_us'] / 1000.0:g} ms"
+    )
     yield f"the codec refuses more than {result['codec_limit_bytes']} bytes on our topics"
 
 
@@ -428,8 +459,13 @@ def plot(result: dict[str, Any], path: Path) -> None:
     for axis, (name, curve) in zip(axes, result["curves"].items(), strict=True):
         measured = [point for point in curve["points"] if "n" in point]
         for figure_name in ("p50_us", "p99_us"):
-            axis.plot([p["x"] for p in measured], [p[figure_name] / 1000.0 for p in measured], "o-", markersize=3,
-                      label=figure_name[:3])
+            axis.plot(
+                [p["x"] for p in measured],
+                [p[figure_name] / 1000.0 for p in measured],
+                "o-",
+                markersize=3,
+                label=figure_name[:3],
+            )
         if curve["knee"]["breaks_at"] is not None:
             axis.axvline(curve["knee"]["breaks_at"], color="red", linestyle="--", label="breaks")
         axis.axhline(figures.DEADLINE_US / 1000.0, color="grey", linestyle=":")

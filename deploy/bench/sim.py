@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.process import ConfigError
+from schemas.runtime.process import ConfigError
 
 if TYPE_CHECKING:
     from sim_node.engine.batched import BatchedRoads
@@ -99,8 +99,15 @@ class _EnvPool:
 
         self.scenes = scenes
         self._env = envpool.make_gymnasium(
-            "Highway-v0", num_envs=scenes, num_threads=1, vehicles_count=vehicles, policy_frequency=policy_hz,
-            simulation_frequency=HZ, duration=EPISODE_S, max_episode_steps=EPISODE_S * policy_hz)
+            "Highway-v0",
+            num_envs=scenes,
+            num_threads=1,
+            vehicles_count=vehicles,
+            policy_frequency=policy_hz,
+            simulation_frequency=HZ,
+            duration=EPISODE_S,
+            max_episode_steps=EPISODE_S * policy_hz,
+        )
 
     def reset(self, episode: int) -> None:
         self._env.reset()
@@ -113,7 +120,7 @@ class _Training:
     """What learns at this rate, with everything that it costs but the network."""
 
     def __init__(self, scenes: int, policy_hz: int) -> None:
-        from deploy.evaluate import task_of
+        from deploy.lab.evaluate import task_of
         from fast_node.training.rollout import Scenes
         from sim_node.engine.batched import Batched
         from sim_node.metrics import Recorder
@@ -149,8 +156,8 @@ def _loaded(load: str) -> Iterator[None]:
         yield
         return
     from deploy.bench.contenders import Lost, asking
-    from deploy.interpret import embedded_server
-    from deploy.processes import Model, free_port
+    from deploy.lab.interpret import embedded_server
+    from deploy.run.processes import Model, free_port
 
     port = free_port()
     server = embedded_server(port, 1, adapter=True, polite=True)
@@ -212,14 +219,21 @@ def _contenders(names: Sequence[str], vehicles: int, policy_hz: int, scenes: int
 def _differences(vehicles: int, names: Sequence[str]) -> dict[str, float | None]:
     from sim_node.engine.parity import compare
 
-    found: dict[str, float | None] = {f.variant: f.state for f in compare(f"highway-v0, {vehicles} vehicles", 0,
-                                                                          PARITY_S)}
+    found: dict[str, float | None] = {
+        f.variant: f.state for f in compare(f"highway-v0, {vehicles} vehicles", 0, PARITY_S)
+    }
     return {name: 0.0 if name == "stock" else found.get(name) for name in names}
 
 
 def bench_sim(
-    *, seconds: float = 6.0, turns: int = 4, vehicles: Sequence[int] = VEHICLES, policy_hz: Sequence[int] = POLICY_HZ,
-    names: Sequence[str] | None = None, scenes: int = SCENES, load: str = "none",
+    *,
+    seconds: float = 6.0,
+    turns: int = 4,
+    vehicles: Sequence[int] = VEHICLES,
+    policy_hz: Sequence[int] = POLICY_HZ,
+    names: Sequence[str] | None = None,
+    scenes: int = SCENES,
+    load: str = "none",
     progress: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """{"schema", "rows"}; a row per variant, number of vehicles and decision rate.
@@ -249,7 +263,12 @@ def bench_sim(
 
 
 def _measure(
-    names: Sequence[str], vehicles: int, hz: int, seconds: float, turns: int, scenes: int,
+    names: Sequence[str],
+    vehicles: int,
+    hz: int,
+    seconds: float,
+    turns: int,
+    scenes: int,
     differences: dict[str, float | None],
 ) -> Iterator[dict[str, Any]]:
     accounts = _contenders(names, vehicles, hz, scenes)
@@ -268,23 +287,31 @@ def _measure(
         per_s = account.decisions / account.cpu_s
         p50, p99 = np.percentile(account.wall_ms, (50, 99))
         yield {
-            "variant": name, "scenario": "highway" if name == "training" else "highway-v0",
-            "vehicles": OURS if name == "training" else vehicles, "policy_hz": hz,
-            "ticks_per_cpu_s": per_s * HZ / hz, "decisions_per_cpu_s": per_s, "p50_ms": float(p50),
-            "p99_ms": float(p99), "max_state_difference": differences[name],
+            "variant": name,
+            "scenario": "highway" if name == "training" else "highway-v0",
+            "vehicles": OURS if name == "training" else vehicles,
+            "policy_hz": hz,
+            "ticks_per_cpu_s": per_s * HZ / hz,
+            "decisions_per_cpu_s": per_s,
+            "p50_ms": float(p50),
+            "p99_ms": float(p99),
+            "max_state_difference": differences[name],
         }
 
 
 def table(result: dict[str, Any]) -> str:
     """The rows as plain text, with each variant's speed as a multiple of stock highway-env's."""
     stock = {(r["vehicles"], r["policy_hz"]): r["ticks_per_cpu_s"] for r in result["rows"] if r["variant"] == "stock"}
-    lines = [f"{'vehicles':>8}{'Hz':>4}  {'variant':<12}{'ticks/CPU s':>13}{'x stock':>9}{'decisions':>11}{'p50 ms':>9}"
-             f"{'p99 ms':>9}{'max |difference|':>18}"]
+    lines = [
+        f"{'vehicles':>8}{'Hz':>4}  {'variant':<12}{'ticks/CPU s':>13}{'x stock':>9}{'decisions':>11}{'p50 ms':>9}"
+        f"{'p99 ms':>9}{'max |difference|':>18}"
+    ]
     for r in result["rows"]:
         base = stock.get((r["vehicles"], r["policy_hz"]))
         times = f"{r['ticks_per_cpu_s'] / base:.0f}" if base else "-"
         apart = "-" if r["max_state_difference"] is None else f"{r['max_state_difference']:g}"
         lines.append(
             f"{r['vehicles']:>8}{r['policy_hz']:>4}  {r['variant']:<12}{r['ticks_per_cpu_s']:>13,.0f}{times:>9}"
-            f"{r['decisions_per_cpu_s']:>11,.0f}{r['p50_ms']:>9.2f}{r['p99_ms']:>9.2f}{apart:>18}")
+            f"{r['decisions_per_cpu_s']:>11,.0f}{r['p50_ms']:>9.2f}{r['p99_ms']:>9.2f}{apart:>18}"
+        )
     return "\n".join(lines)

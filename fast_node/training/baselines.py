@@ -26,36 +26,61 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from fast_node.mask import VERSION as MASK_VERSION
-from fast_node.mlp import WISH, MlpPolicy, load_mlp, masked, told
+from fast_node.policies.mlp import WISH, MlpPolicy, load_mlp, masked, told
 from fast_node.training.rollout import Mixed
 from fast_node.training.train import Logits, conditions, random_inputs
-from schemas.features import BOUND, FEATURES, LAYOUT_HASH, N_ROWS, Array
-from schemas.messages import POLICY_ACTIONS, MetaAction
-from schemas.process import revision
+from schemas.driving.features import BOUND, FEATURES, LAYOUT_HASH, N_ROWS, Array
+from schemas.runtime.process import revision
+from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 
 COMMON = {"gamma": 0.99, "learning_rate": 5e-4}
 CONFIG: dict[str, dict[str, Any]] = {
     "ppo": {"n_steps": 32, "batch_size": 256, "n_epochs": 10, "target_kl": 0.03, "ent_coef": 0.01},
     "a2c": {"n_steps": 8, "ent_coef": 0.01},
-    "dqn": {"batch_size": 64, "buffer_size": 100_000, "learning_starts": 1000, "train_freq": 1, "gradient_steps": 4,
-            "target_update_interval": 1000, "exploration_fraction": 0.2},
+    "dqn": {
+        "batch_size": 64,
+        "buffer_size": 100_000,
+        "learning_starts": 1000,
+        "train_freq": 1,
+        "gradient_steps": 4,
+        "target_update_interval": 1000,
+        "exploration_fraction": 0.2,
+    },
 }
 """Where the search began: apart from stable-baselines3's defaults, for 64 (PPO) and 16 scenes at once."""
 TRIALS: dict[str, dict[str, dict[str, Any]]] = {
-    "ppo": {"start": {}, "lr-2.5e-4": {"learning_rate": 2.5e-4}, "lr-1e-3": {"learning_rate": 1e-3},
-            "no-entropy": {"ent_coef": 0.0}, "no-kl-limit": {"target_kl": None},
-            "short-rollouts": {"n_steps": 8, "batch_size": 128}},
-    "a2c": {"start": {}, "lr-2.5e-4": {"learning_rate": 2.5e-4}, "lr-1e-3": {"learning_rate": 1e-3},
-            "gae": {"n_steps": 16, "gae_lambda": 0.95}, "normalised": {"normalize_advantage": True},
-            "adam": {"use_rms_prop": False}},
-    "dqn": {"start": {}, "lr-1e-4": {"learning_rate": 1e-4}, "lr-2.5e-4": {"learning_rate": 2.5e-4},
-            "explore-half": {"exploration_fraction": 0.5}, "slow-target": {"target_update_interval": 5000}},
+    "ppo": {
+        "start": {},
+        "lr-2.5e-4": {"learning_rate": 2.5e-4},
+        "lr-1e-3": {"learning_rate": 1e-3},
+        "no-entropy": {"ent_coef": 0.0},
+        "no-kl-limit": {"target_kl": None},
+        "short-rollouts": {"n_steps": 8, "batch_size": 128},
+    },
+    "a2c": {
+        "start": {},
+        "lr-2.5e-4": {"learning_rate": 2.5e-4},
+        "lr-1e-3": {"learning_rate": 1e-3},
+        "gae": {"n_steps": 16, "gae_lambda": 0.95},
+        "normalised": {"normalize_advantage": True},
+        "adam": {"use_rms_prop": False},
+    },
+    "dqn": {
+        "start": {},
+        "lr-1e-4": {"learning_rate": 1e-4},
+        "lr-2.5e-4": {"learning_rate": 2.5e-4},
+        "explore-half": {"exploration_fraction": 0.5},
+        "slow-target": {"target_update_interval": 5000},
+    },
 }
 """What `fastslow study --tune` compares: changes of CONFIG, one at a time."""
 CHOSEN = {"ppo": "lr-1e-3", "a2c": "start", "dqn": "slow-target"}
 """The best of each in that comparison."""
 _ADAM: dict[str, dict[str, Any]] = {
-    "ppo": {"optimizer_kwargs": {"eps": 1e-5, "fused": True}}, "a2c": {}, "dqn": {"optimizer_kwargs": {"fused": True}}}
+    "ppo": {"optimizer_kwargs": {"eps": 1e-5, "fused": True}},
+    "a2c": {},
+    "dqn": {"optimizer_kwargs": {"fused": True}},
+}
 """The same Adam, computed faster; 1e-5 is PPO's own."""
 WIDTH = 128
 
@@ -68,8 +93,9 @@ class VecScenes(VecEnv):
         self.episodes: list[tuple[float, bool]] = []
         """(return, crashed) of every finished episode."""
         x, self._open = scenes.observe()
-        super().__init__(len(x), spaces.Box(-BOUND, BOUND, (N_ROWS * len(FEATURES),), np.float32),
-                         spaces.Discrete(POLICY_ACTIONS))
+        super().__init__(
+            len(x), spaces.Box(-BOUND, BOUND, (N_ROWS * len(FEATURES),), np.float32), spaces.Discrete(POLICY_ACTIONS)
+        )
 
     def _see(self) -> Array:
         x, self._open = self._scenes.observe()
@@ -131,10 +157,18 @@ def settings_of(algorithm: str, trial: str = "") -> dict[str, Any]:
 
 
 def learn(
-    algorithm: str, scenes: Mixed, out: Path, *, variant: str, steps: int, seed: int, trial: str = "",
+    algorithm: str,
+    scenes: Mixed,
+    out: Path,
+    *,
+    variant: str,
+    steps: int,
+    seed: int,
+    trial: str = "",
     watch: Callable[[int, Logits], None] = lambda *_: None,
 ) -> dict[str, float]:
-    """Train "ppo", "a2c" or "dqn" for `steps` decisions and export it to `out` (.safetensors) for `fast_node.mlp`.
+    """Train "ppo", "a2c" or "dqn" for `steps` decisions and export it to `out` (.safetensors) for
+    `fast_node.policies.mlp`.
 
     trial: one of TRIALS, instead of the chosen one.
 
@@ -146,8 +180,14 @@ def learn(
     env = VecScenes(scenes, variant)
     settings = settings_of(algorithm, trial)
     kinds: dict[str, Any] = {"ppo": PPO, "a2c": A2C, "dqn": DQN}
-    model = kinds[algorithm]("MlpPolicy", env, seed=seed, device="cpu", **settings,
-                             policy_kwargs={"net_arch": [WIDTH, WIDTH], **_ADAM[algorithm]})
+    model = kinds[algorithm](
+        "MlpPolicy",
+        env,
+        seed=seed,
+        device="cpu",
+        **settings,
+        policy_kwargs={"net_arch": [WIDTH, WIDTH], **_ADAM[algorithm]},
+    )
     sidecar = {"algorithm": algorithm, "variant": variant, "activation": "relu" if algorithm == "dqn" else "tanh"}
 
     def now(x: Array) -> Array:
@@ -156,12 +196,28 @@ def learn(
     watch(0, now)
     model.learn(steps, callback=_Watch(lambda done: watch(done, now)))
     last = env.episodes[-200:]
-    metrics = {"episodic_return": round(float(np.mean([r for r, _ in last])), 4),
-               "crash_rate": round(float(np.mean([c for _, c in last])), 4)} if last else {}
-    export(model, out, {
-        **sidecar, "mask": MASK_VERSION if masked(variant) else None, "steps": model.num_timesteps, "seed": seed,
-        **conditions(scenes), "learner": settings,
-        "revision": revision(), "metrics": metrics})
+    metrics = (
+        {
+            "episodic_return": round(float(np.mean([r for r, _ in last])), 4),
+            "crash_rate": round(float(np.mean([c for _, c in last])), 4),
+        }
+        if last
+        else {}
+    )
+    export(
+        model,
+        out,
+        {
+            **sidecar,
+            "mask": MASK_VERSION if masked(variant) else None,
+            "steps": model.num_timesteps,
+            "seed": seed,
+            **conditions(scenes),
+            "learner": settings,
+            "revision": revision(),
+            "metrics": metrics,
+        },
+    )
     return metrics
 
 
@@ -170,8 +226,11 @@ def weights_of(model: Any) -> dict[str, Array]:
     policy = model.policy
     body = [policy.q_net.q_net] if isinstance(model, DQN) else [policy.mlp_extractor.policy_net, policy.action_net]
     layers = [m for part in body for m in part.modules() if isinstance(m, torch.nn.Linear)]
-    return {f"{k}.{name}": np.ascontiguousarray(getattr(layer, name).detach().numpy())
-            for k, layer in enumerate(layers) for name in ("weight", "bias")}
+    return {
+        f"{k}.{name}": np.ascontiguousarray(getattr(layer, name).detach().numpy())
+        for k, layer in enumerate(layers)
+        for name in ("weight", "bias")
+    }
 
 
 def export(model: Any, out: Path, sidecar: dict[str, object], observations: int = 1000) -> None:
@@ -179,8 +238,9 @@ def export(model: Any, out: Path, sidecar: dict[str, object], observations: int 
     of the largest value."""
     out.parent.mkdir(parents=True, exist_ok=True)
     save_file(weights_of(model), out)
-    out.with_suffix(".json").write_text(json.dumps({
-        "layout_hash": LAYOUT_HASH, "features": FEATURES, "width": WIDTH, **sidecar}, indent=1) + "\n")
+    out.with_suffix(".json").write_text(
+        json.dumps({"layout_hash": LAYOUT_HASH, "features": FEATURES, "width": WIDTH, **sidecar}, indent=1) + "\n"
+    )
     x = random_inputs(observations)
     seen = x.copy()
     if not told(str(sidecar["variant"])):

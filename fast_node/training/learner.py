@@ -31,8 +31,13 @@ class LearnerConfig:
 
 
 def advantages(
-    rewards: Floats, values: Floats, next_values: Floats, terminated: NDArray[np.bool_], ended: NDArray[np.bool_],
-    gamma: float, lam: float,
+    rewards: Floats,
+    values: Floats,
+    next_values: Floats,
+    terminated: NDArray[np.bool_],
+    ended: NDArray[np.bool_],
+    gamma: float,
+    lam: float,
 ) -> Floats:
     """Generalised advantage estimates (T, S); with lam = 1 the K-step advantage of Eq. 15.
 
@@ -70,7 +75,10 @@ def masked_distribution(logits: Tensor, is_open: Tensor) -> torch.distributions.
 
 
 def update(
-    net: ActorCritic, optimizer: torch.optim.Optimizer, config: LearnerConfig, batch: dict[str, Tensor],
+    net: ActorCritic,
+    optimizer: torch.optim.Optimizer,
+    config: LearnerConfig,
+    batch: dict[str, Tensor],
     generator: torch.Generator,
 ) -> dict[str, float]:
     """One policy update from a batch of x, is_open, action, log_prob, advantage, value_target; returns its losses.
@@ -84,8 +92,14 @@ def update(
     updates = 0
 
     def figures() -> dict[str, float]:
-        return {"approx_kl": kl, "policy_loss": policy_loss, "value_loss": value_loss, "entropy": entropy,
-                "clipfrac": clipped / max(updates, 1), "updates": updates}
+        return {
+            "approx_kl": kl,
+            "policy_loss": policy_loss,
+            "value_loss": value_loss,
+            "entropy": entropy,
+            "clipfrac": clipped / max(updates, 1),
+            "updates": updates,
+        }
 
     for _ in range(config.epochs):
         order = torch.randperm(n, generator=generator)

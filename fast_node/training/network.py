@@ -7,8 +7,8 @@ import math
 import torch
 from torch import Tensor, nn
 
-from schemas.features import FEATURES
-from schemas.messages import POLICY_ACTIONS
+from schemas.driving.features import FEATURES
+from schemas.wire.messages import POLICY_ACTIONS
 
 
 class Encoder(nn.Module):

@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 
 from fast_node import choice, mask
 from fast_node.choice import HELD, MASKED
-from schemas import features, measures, wish
-from schemas.features import FEATURES, N_ROWS, Array
-from schemas.measures import TTC_CAP_S
-from schemas.messages import POLICY_ACTIONS, MetaAction
-from schemas.reward import reward, shortfall
-from schemas.wish import ANY_LANE
+from schemas.driving import features, measures
+from schemas.driving import intent as wish
+from schemas.driving.features import FEATURES, N_ROWS, Array
+from schemas.driving.intent import ANY_LANE
+from schemas.driving.measures import TTC_CAP_S
+from schemas.driving.reward import reward, shortfall
+from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 
 DECISION_TICKS = 15
 
@@ -33,8 +34,9 @@ Bools = NDArray[np.bool_]
 
 def _copy_of(module: Any) -> Any:
     """A second copy of a module, to put compiled functions into: the real one stays plain Python."""
-    spec = importlib.util.spec_from_file_location(f"fast_node._compiled_{module.__name__.split('.')[-1]}",
-                                                  module.__file__)
+    spec = importlib.util.spec_from_file_location(
+        f"fast_node._compiled_{module.__name__.split('.')[-1]}", module.__file__
+    )
     assert spec is not None
     assert spec.loader is not None
     copy = importlib.util.module_from_spec(spec)
@@ -47,8 +49,16 @@ def _compiled_mask() -> Any:
     copy = _copy_of(mask)
     for name in ("gap_m", "rss_same_direction_m", "rss_opposite_m", "rss_lateral_m"):
         setattr(copy, name, numba.njit(getattr(measures, name)))
-    for name in ("allowed_speed", "follower_gap", "pass_time_s", "half_width", "survey", "entry", "ahead_of",
-                 "passing"):
+    for name in (
+        "allowed_speed",
+        "follower_gap",
+        "pass_time_s",
+        "half_width",
+        "survey",
+        "entry",
+        "ahead_of",
+        "passing",
+    ):
         setattr(copy, name, numba.njit(getattr(copy, name)))
     return numba.njit(copy.close_actions)
 
@@ -62,19 +72,46 @@ _ttc = numba.njit(measures.ttc_s)
 
 @numba.njit  # type: ignore[untyped-decorator]
 def _look_all(
-    rows: Any, lanes: Any, target_speed: Any, target_lane: Any, previous: Any, sight: float, preset: mask.Preset,
-    told_lane: Any, pass_id: Any, v_des: Any, headway: Any, masked: bool, obeyed: bool, near: Any,
-    rule: Any, vehicle: Any, wish_lane: Any, ttc: Any, short: Any,
+    rows: Any,
+    lanes: Any,
+    target_speed: Any,
+    target_lane: Any,
+    previous: Any,
+    sight: float,
+    preset: mask.Preset,
+    told_lane: Any,
+    pass_id: Any,
+    v_des: Any,
+    headway: Any,
+    masked: bool,
+    obeyed: bool,
+    near: Any,
+    rule: Any,
+    vehicle: Any,
+    wish_lane: Any,
+    ttc: Any,
+    short: Any,
 ) -> None:
     for s in range(rows.shape[0]):
-        _close(rows[s], lanes[s], target_speed[s], target_lane[s], previous[s], sight, near[s], rule[s], vehicle[s],
-               preset)
+        _close(
+            rows[s], lanes[s], target_speed[s], target_lane[s], previous[s], sight, near[s], rule[s], vehicle[s], preset
+        )
         if not masked:
             rule[s] = mask.OPEN
         wish_lane[s] = told_lane[s] if pass_id[s] < 0 else _wished_lane(rows[s], told_lane[s], pass_id[s])
         if obeyed:
-            _narrow(rule[s], rows[s], near[s], lanes[s], target_speed[s], target_lane[s], previous[s], wish_lane[s],
-                    v_des[s], headway[s])
+            _narrow(
+                rule[s],
+                rows[s],
+                near[s],
+                lanes[s],
+                target_speed[s],
+                target_lane[s],
+                previous[s],
+                wish_lane[s],
+                v_des[s],
+                headway[s],
+            )
         ttc[s] = TTC_CAP_S
         short[s] = 0.0
         ego = rows[s, 0]
@@ -96,8 +133,16 @@ _shortfall = numba.njit(shortfall)
 
 @numba.njit  # type: ignore[untyped-decorator]
 def _observe_all(
-    rows: Any, lanes: Any, wish_lane: Any, v_des: Any, headway: Any, target_speed: Any, target_lane: Any,
-    previous: Any, order: Any, out: Any,
+    rows: Any,
+    lanes: Any,
+    wish_lane: Any,
+    v_des: Any,
+    headway: Any,
+    target_speed: Any,
+    target_lane: Any,
+    previous: Any,
+    order: Any,
+    out: Any,
 ) -> None:
     for s in range(rows.shape[0]):
         y_des = np.nan if wish_lane[s] < 0 else lanes[s, wish_lane[s], 0]
@@ -171,16 +216,44 @@ class Fleet:
         w = self.world
         self.lanes[:, :, 0] = w.lane_y
         self._rows[:] = w.rows
-        _look_all(self._rows, self.lanes, w.target_speed, w.target_lane, w.previous_lane, self.task.sight_m,
-                  self._preset, self.told_lane, self.pass_id, self.v_des, self.headway, self.masked, self._obeyed,
-                  self._near, self.rule, self.vehicle, self.wish, self.ttc_s, self.short)
+        _look_all(
+            self._rows,
+            self.lanes,
+            w.target_speed,
+            w.target_lane,
+            w.previous_lane,
+            self.task.sight_m,
+            self._preset,
+            self.told_lane,
+            self.pass_id,
+            self.v_des,
+            self.headway,
+            self.masked,
+            self._obeyed,
+            self._near,
+            self.rule,
+            self.vehicle,
+            self.wish,
+            self.ttc_s,
+            self.short,
+        )
 
     def observe(self) -> Array:
         """Policy input (S, N, F) of what `look` saw last."""
         w = self.world
         out = np.empty((len(self.wish), N_ROWS, len(FEATURES)), np.float32)
-        _observe_all(self._rows, self.lanes, self.wish, self.v_des, self.headway, w.target_speed, w.target_lane,
-                     w.previous_lane, self._order, out)
+        _observe_all(
+            self._rows,
+            self.lanes,
+            self.wish,
+            self.v_des,
+            self.headway,
+            w.target_speed,
+            w.target_lane,
+            w.previous_lane,
+            self._order,
+            out,
+        )
         return out
 
     def over(self) -> Bools:
@@ -195,7 +268,13 @@ class Scenes(Fleet):
     """A fleet with random directives, stepped one decision at a time: what the learner learns in."""
 
     def __init__(
-        self, world: World, task: Task, seed: int, decision_ticks: int = DECISION_TICKS, *, masked: bool = True,
+        self,
+        world: World,
+        task: Task,
+        seed: int,
+        decision_ticks: int = DECISION_TICKS,
+        *,
+        masked: bool = True,
         obeyed: bool | None = None,
     ) -> None:
         super().__init__(world, task, masked=masked, obeyed=obeyed)
@@ -216,7 +295,8 @@ class Scenes(Fleet):
     def _direct(self, which: Bools) -> None:
         for s in np.flatnonzero(which):
             self.told_lane[s], self.pass_id[s], self.v_des[s], self.headway[s] = self.task.draw(
-                self._rng, self.world.rows[s], int(self.world.target_lane[s]))
+                self._rng, self.world.rows[s], int(self.world.target_lane[s])
+            )
 
     def open(self) -> Bools:
         """(S, 5) the actions that the mask leaves open."""
@@ -233,8 +313,13 @@ class Scenes(Fleet):
             is_open = self.rule == mask.OPEN
             meta = action if k == 0 else np.full(s, MetaAction.CRUISE)
             fine = is_open[each, meta]
-            for a in (MetaAction.EMERGENCY_BRAKE, MetaAction.RIGHT, MetaAction.LEFT, MetaAction.SPEED_UP,
-                      MetaAction.SLOW_DOWN):
+            for a in (
+                MetaAction.EMERGENCY_BRAKE,
+                MetaAction.RIGHT,
+                MetaAction.LEFT,
+                MetaAction.SPEED_UP,
+                MetaAction.SLOW_DOWN,
+            ):
                 if not fine.all():
                     meta = np.where(~fine & is_open[:, a], int(a), meta)
             braked |= meta == MetaAction.EMERGENCY_BRAKE
@@ -247,8 +332,18 @@ class Scenes(Fleet):
         seconds = self._ticks / DECISION_TICKS
         speed = (w.rows[:, 0, 1] - start_x).astype(np.float64) / seconds
         earned = reward(
-            speed, self.v_des, self.task.speed_range, effort / self._ticks, action != MetaAction.CRUISE,
-            (self.wish == ANY_LANE) | (w.target_lane == self.wish), ttc, short, braked, w.crashed, seconds)
+            speed,
+            self.v_des,
+            self.task.speed_range,
+            effort / self._ticks,
+            action != MetaAction.CRUISE,
+            (self.wish == ANY_LANE) | (w.target_lane == self.wish),
+            ttc,
+            short,
+            braked,
+            w.crashed,
+            seconds,
+        )
         over = self.over()
         terminated = w.crashed.copy()
         # The goal and the road's end cut an episode off: what would come after is worth what the value says.

@@ -2,8 +2,8 @@
 
 The paper's equations, by the numbers that its source gives them, and where they are:
 
-* Eq. 10  o_t = (o_env, y_des): the wish stands in the observation's ego row (`schemas.features`); the directives are
-  drawn in `rollout.Scenes`.
+* Eq. 10  o_t = (o_env, y_des): the wish stands in the observation's ego row (`schemas.driving.features`); the
+  directives are drawn in `rollout.Scenes`.
 * Eq. 11  z^0 = f_embed(o_t);  Eq. 12  z^(l+1) = MHSA(z^l) + FFN(z^l);  Eq. 13  pi = softmax(W z^L + b): `network`.
 * Eq. 14  V(s_t) = E[sum_k gamma^k r_(t+k)]: `ActorCritic.value`, learnt by Eq. 17.
 * Eq. 15  A_t = sum_(k<K) gamma^k r_(t+k) + gamma^K V(s_(t+K)) - V(s_t): `learner.advantages`.
@@ -42,7 +42,7 @@ import torch
 from safetensors.torch import save_file
 
 from fast_node.mask import VERSION as MASK_VERSION
-from fast_node.policy import load_policy
+from fast_node.policies.attention import load_policy
 from fast_node.training.learner import (
     LearnerConfig,
     advantages,
@@ -53,9 +53,9 @@ from fast_node.training.learner import (
 )
 from fast_node.training.network import ActorCritic
 from fast_node.training.rollout import Mixed
-from schemas import reward as rewards
-from schemas.features import FEATURES, LAYOUT_HASH, N_ROWS, Array
-from schemas.process import ConfigError, revision
+from schemas.driving import reward as rewards
+from schemas.driving.features import FEATURES, LAYOUT_HASH, N_ROWS, Array
+from schemas.runtime.process import ConfigError, revision
 
 WIDTH, HEADS, LAYERS = 128, 2, 1
 ROLLOUT = 16
@@ -70,8 +70,15 @@ Logits = Callable[[Array], Array]
 
 
 def train(
-    scenes: Mixed, out: Path, *, steps: int, seed: int, progress: Callable[[int, dict[str, float]], None],
-    config: LearnerConfig | None = None, resume: bool = False, start: dict[str, Any] | None = None,
+    scenes: Mixed,
+    out: Path,
+    *,
+    steps: int,
+    seed: int,
+    progress: Callable[[int, dict[str, float]], None],
+    config: LearnerConfig | None = None,
+    resume: bool = False,
+    start: dict[str, Any] | None = None,
     watch: Callable[[int, Logits], None] = lambda *_: None,
 ) -> dict[str, float]:
     """Train for `steps` decisions and export to `out` (.safetensors). Returns the last figures.
@@ -89,15 +96,21 @@ def train(
     config = config or LearnerConfig()
     net = ActorCritic(WIDTH, HEADS, LAYERS)
     optimizer = torch.optim.Adam(net.parameters(), lr=config.lr, eps=1e-5, fused=True)
-    run = {"seed": seed, **conditions(scenes), "learner": asdict(config), "rollout": ROLLOUT,
-           "lr_schedule": {"shape": "linear", "end": LR_END}, "mask_preset": scenes.parts[0].task.preset,
-           "mask": MASK_VERSION, "layout_hash": LAYOUT_HASH}
+    run = {
+        "seed": seed,
+        **conditions(scenes),
+        "learner": asdict(config),
+        "rollout": ROLLOUT,
+        "lr_schedule": {"shape": "linear", "end": LR_END},
+        "mask_preset": scenes.parts[0].task.preset,
+        "mask": MASK_VERSION,
+        "layout_hash": LAYOUT_HASH,
+    }
     done, resumed_at = 0, list[int]()
     if start is not None:
         for name in ("layout_hash", "mask"):
             if (found := start["run"].get(name)) != run[name]:
-                raise ConfigError(
-                    f"the run to start from has {name} {found!r}, this code {run[name]!r}: train it anew")
+                raise ConfigError(f"the run to start from has {name} {found!r}, this code {run[name]!r}: train it anew")
         net.load_state_dict(start["net"])
         run["start"] = {"steps": start["steps"], **start["run"]}
     if resume:
@@ -107,7 +120,8 @@ def train(
         if (was := saved["run"]) != run:
             differs = [f"{k} {was.get(k)!r}, not {run.get(k)!r}" for k in {**was, **run} if was.get(k) != run.get(k)]
             raise ConfigError(
-                f"{out.name} was trained with {'; '.join(differs)}: resume it with the same, or train anew")
+                f"{out.name} was trained with {'; '.join(differs)}: resume it with the same, or train anew"
+            )
         if done >= steps:
             raise ConfigError(f"{out.name} has learnt from {done} decisions already: resume it with more --steps")
         net.load_state_dict(saved["net"])
@@ -130,8 +144,10 @@ def train(
         while done < steps:
             for group in optimizer.param_groups:
                 group["lr"] = config.lr * max(LR_END, 1.0 - done / steps)
-            keep: dict[str, list[np.ndarray]] = {k: [] for k in (
-                "x", "is_open", "action", "log_prob", "value", "last_value", "reward", "terminated", "ended")}
+            keep: dict[str, list[np.ndarray]] = {
+                k: []
+                for k in ("x", "is_open", "action", "log_prob", "value", "last_value", "reward", "terminated", "ended")
+            }
             for _ in range(ROLLOUT):  # act: a_t ~ pi(. | o_t) over the open actions (Eq. 13), and V (Eq. 14)
                 with torch.no_grad():
                     logits, value = net(torch.from_numpy(x))
@@ -149,9 +165,17 @@ def train(
                     lengths += scenes.age[ended].tolist()
                     scenes.reset(ended)
                     next_x, next_open = scenes.observe()
-                for k, v in (("x", x), ("is_open", is_open), ("action", action.numpy()),
-                             ("log_prob", log_prob.numpy()), ("value", value.numpy()), ("last_value", last_value),
-                             ("reward", reward), ("terminated", terminated), ("ended", ended)):
+                for k, v in (
+                    ("x", x),
+                    ("is_open", is_open),
+                    ("action", action.numpy()),
+                    ("log_prob", log_prob.numpy()),
+                    ("value", value.numpy()),
+                    ("last_value", last_value),
+                    ("reward", reward),
+                    ("terminated", terminated),
+                    ("ended", ended),
+                ):
                     keep[k].append(v)
                 x, is_open = next_x, next_open
                 done += len(x)
@@ -159,10 +183,12 @@ def train(
             # V(o_{t+1}) of the same episode, advantages (Eq. 15) and value targets, then the update (Eq. 16, 17)
             b = {k: np.stack(v) for k, v in keep.items()}
             next_value = following_values(b["value"], b["last_value"], b["ended"], _values(net, x))
-            advantage = advantages(b["reward"], b["value"], next_value, b["terminated"], b["ended"],
-                                   config.gamma, config.lam)
-            flat = {k: torch.from_numpy(b[k].reshape(-1, *b[k].shape[2:]))
-                    for k in ("x", "is_open", "action", "log_prob")}
+            advantage = advantages(
+                b["reward"], b["value"], next_value, b["terminated"], b["ended"], config.gamma, config.lam
+            )
+            flat = {
+                k: torch.from_numpy(b[k].reshape(-1, *b[k].shape[2:])) for k in ("x", "is_open", "action", "log_prob")
+            }
             used = int(np.flatnonzero(b["x"][..., 0].any((0, 1)))[-1]) + 1  # rows that are always absent cost time
             flat["x"] = flat["x"][:, :used]
             flat["advantage"] = torch.from_numpy(advantage.reshape(-1))
@@ -177,11 +203,30 @@ def train(
             log(done, figures)
             progress(done, figures)
             if done >= steps or done // (ROLLOUT * len(x)) % SAVE_EVERY == 0:
-                _save(out, {"run": run, "steps": done, "resumed_at": resumed_at, "net": net.state_dict(),
-                            "optimizer": optimizer.state_dict(), "rng": torch.get_rng_state(),
-                            "generator": generator.get_state()})
-    export(net, out, {"algorithm": "ours", "steps": done, **run, "resumed_at": resumed_at, "revision": revision(),
-                      "metrics": {k: round(v, 4) for k, v in figures.items() if k not in ("SPS", "learning_rate")}})
+                _save(
+                    out,
+                    {
+                        "run": run,
+                        "steps": done,
+                        "resumed_at": resumed_at,
+                        "net": net.state_dict(),
+                        "optimizer": optimizer.state_dict(),
+                        "rng": torch.get_rng_state(),
+                        "generator": generator.get_state(),
+                    },
+                )
+    export(
+        net,
+        out,
+        {
+            "algorithm": "ours",
+            "steps": done,
+            **run,
+            "resumed_at": resumed_at,
+            "revision": revision(),
+            "metrics": {k: round(v, 4) for k, v in figures.items() if k not in ("SPS", "learning_rate")},
+        },
+    )
     return figures
 
 
@@ -192,9 +237,13 @@ def _values(net: ActorCritic, x: Array) -> Array:
 
 def conditions(scenes: Mixed) -> dict[str, Any]:
     """What a policy learns in, for its sidecar: scenarios, scenes of each, and the reward's weights."""
-    return {"scenarios": [part.task.name for part in scenes.parts], "scenes": [len(part.wish) for part in scenes.parts],
-            "reward": {name.lower(): value for name, value in vars(rewards).items()
-                       if name.isupper() and isinstance(value, float)}}
+    return {
+        "scenarios": [part.task.name for part in scenes.parts],
+        "scenes": [len(part.wish) for part in scenes.parts],
+        "reward": {
+            name.lower(): value for name, value in vars(rewards).items() if name.isupper() and isinstance(value, float)
+        },
+    }
 
 
 def export(net: ActorCritic, out: Path, sidecar: dict[str, object], observations: int = 1000) -> None:
@@ -202,9 +251,21 @@ def export(net: ActorCritic, out: Path, sidecar: dict[str, object], observations
     of the largest logit."""
     out.parent.mkdir(parents=True, exist_ok=True)
     save_file({k: v.contiguous() for k, v in net.state_dict().items() if not k.startswith("value")}, out)
-    out.with_suffix(".json").write_text(json.dumps({
-        "layout_hash": LAYOUT_HASH, "features": FEATURES, "mask": MASK_VERSION, "layers": len(net.layers),
-        "heads": net.heads, "width": net.embed.out_features, **sidecar}, indent=1) + "\n")
+    out.with_suffix(".json").write_text(
+        json.dumps(
+            {
+                "layout_hash": LAYOUT_HASH,
+                "features": FEATURES,
+                "mask": MASK_VERSION,
+                "layers": len(net.layers),
+                "heads": net.heads,
+                "width": net.embed.out_features,
+                **sidecar,
+            },
+            indent=1,
+        )
+        + "\n"
+    )
     policy = load_policy(out)
     x = random_inputs(observations)
     with torch.no_grad():
@@ -239,10 +300,17 @@ def _save(out: Path, state: dict[str, Any]) -> None:
 
 
 LOGGED = {
-    "charts/episodic_return": "episodic_return", "charts/episodic_length": "episodic_length",
-    "charts/crash_rate": "crash_rate", "charts/learning_rate": "learning_rate", "charts/SPS": "SPS",
-    "losses/policy_loss": "policy_loss", "losses/value_loss": "value_loss", "losses/entropy": "entropy",
-    "losses/approx_kl": "approx_kl", "losses/clipfrac": "clipfrac", "losses/explained_variance": "explained_variance",
+    "charts/episodic_return": "episodic_return",
+    "charts/episodic_length": "episodic_length",
+    "charts/crash_rate": "crash_rate",
+    "charts/learning_rate": "learning_rate",
+    "charts/SPS": "SPS",
+    "losses/policy_loss": "policy_loss",
+    "losses/value_loss": "value_loss",
+    "losses/entropy": "entropy",
+    "losses/approx_kl": "approx_kl",
+    "losses/clipfrac": "clipfrac",
+    "losses/explained_variance": "explained_variance",
     "losses/updates": "updates",
 }
 """CleanRL's names of our figures, and two names of our own: charts/crash_rate and losses/updates.

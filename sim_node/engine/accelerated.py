@@ -46,8 +46,10 @@ class Accelerated:
         bridge: Bridge = self._bridge
         told = _NO_ACTION
         if action is not None and not self.config["manual_control"]:
-            if type(self.action_type) is DiscreteMetaAction and self.road.vehicles[:1] == self.controlled_vehicles and (
-                type(self.vehicle) is MDPVehicle
+            if (
+                type(self.action_type) is DiscreteMetaAction
+                and self.road.vehicles[:1] == self.controlled_vehicles
+                and (type(self.vehicle) is MDPVehicle)
             ):
                 told = np.array([_META_ACTIONS[self.action_type.actions[int(action)]]])
             else:
@@ -61,8 +63,18 @@ class Accelerated:
                 self._give_up(reason)
                 super()._simulate(None if told is _NO_ACTION else action)  # type: ignore[misc]
                 return
-            kernel.advance(per_call, 1 / hz, bridge.tables.roads, _CALLS, bridge.scratch, bridge.f, bridge.g,
-                           bridge.ego, NO_VIEW, told if frame == 0 else _NO_ACTION)
+            kernel.advance(
+                per_call,
+                1 / hz,
+                bridge.tables.roads,
+                _CALLS,
+                bridge.scratch,
+                bridge.f,
+                bridge.g,
+                bridge.ego,
+                NO_VIEW,
+                told if frame == 0 else _NO_ACTION,
+            )
             bridge.write(self.road)
             self.steps += per_call
             if watched and frame < frames - 1:
@@ -72,8 +84,9 @@ class Accelerated:
     def _give_up(self: Any, reason: UnsupportedError) -> None:
         if not type(self)._warned:
             type(self)._warned = True
-            warnings.warn(f"{type(self).__name__} runs at highway-env's speed: the engine does not know {reason}",
-                          stacklevel=2)
+            warnings.warn(
+                f"{type(self).__name__} runs at highway-env's speed: the engine does not know {reason}", stacklevel=2
+            )
 
 
 def accelerate(environment: type[AbstractEnv]) -> type[AbstractEnv]:

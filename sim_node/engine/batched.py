@@ -12,7 +12,7 @@ import numpy as np
 from highway_env.road.road import Road
 from numpy.typing import NDArray
 
-from schemas.messages import ROW_COLUMNS
+from schemas.wire.messages import ROW_COLUMNS
 from sim_node.engine import kernel, tables
 from sim_node.engine.bridge import NO_VIEW, Bridge, new_ego
 from sim_node.engine.kernel import ABSENT_X_M, View
@@ -75,14 +75,25 @@ class Batched:
         self._f, self._g = np.zeros((scenes, kernel.FLOATS, n)), np.zeros((scenes, kernel.INTS, n), np.int64)
         self._scratch, self._calls = kernel.new_scratch(n, len(self._tables.lanes)), kernel.new_calls()
         bounds = scenario.ego
-        self._ego = new_ego(scenes, np.array([0.0, 1.0]), True, self._pieces, scenario.gates(), bounds.speed_floor_mps,
-                            bounds.speed_ceiling_mps)
+        self._ego = new_ego(
+            scenes,
+            np.array([0.0, 1.0]),
+            True,
+            self._pieces,
+            scenario.gates(),
+            bounds.speed_floor_mps,
+            bounds.speed_ceiling_mps,
+        )
         self.rows = np.zeros((scenes, vehicles, len(ROW_COLUMNS)), np.float32)
         self.lane_y = np.zeros((scenes, lanes_n))
         self._view = View(
-            self.rows, _published(scenario), self.lane_y, _lanes_of_network(self._tables, self._lane_of_piece,
-                                                                            self._pieces),
-            float(scenario.road_end_m - kernel.LEFT_ROAD_M), float(scenario.sight_m))
+            self.rows,
+            _published(scenario),
+            self.lane_y,
+            _lanes_of_network(self._tables, self._lane_of_piece, self._pieces),
+            float(scenario.road_end_m - kernel.LEFT_ROAD_M),
+            float(scenario.sight_m),
+        )
         e = self._ego
         self.target_speed, self.target_lane, self.previous_lane = e.target_speed, e.target_lane, e.previous_lane
         self.accel, self.crashed, self.ticks = e.accel, e.crashed, e.ticks
@@ -134,8 +145,18 @@ class Batched:
     def tick(self, meta: Ints, speed_goal: Floats) -> None:
         """Advance every scene by 1/15 s: one `MetaAction` (S,) per scene, and its speed goal (S,) m/s (nan: none)."""
         self._ego.speed_goal[:] = speed_goal
-        kernel.advance(1, DT_S, self._tables.roads, self._calls, self._scratch, self._f, self._g, self._ego,
-                       self._view, np.ascontiguousarray(meta, np.int64))
+        kernel.advance(
+            1,
+            DT_S,
+            self._tables.roads,
+            self._calls,
+            self._scratch,
+            self._f,
+            self._g,
+            self._ego,
+            self._view,
+            np.ascontiguousarray(meta, np.int64),
+        )
 
     def keep_going(self) -> None:
         """From now on crashed scenes go on, as upstream's do."""
@@ -177,8 +198,18 @@ class BatchedRoads:
 
     def tick(self, action: Ints, ticks: int = 1) -> None:
         """Advance by `ticks`; action (S,) by number as `DiscreteMetaAction`'s, at the first tick."""
-        kernel.advance(ticks, self.dt, self.tables.roads, self._calls, self._scratch, self.f, self.g, self.ego,
-                       NO_VIEW, np.ascontiguousarray(action, np.int64))
+        kernel.advance(
+            ticks,
+            self.dt,
+            self.tables.roads,
+            self._calls,
+            self._scratch,
+            self.f,
+            self.g,
+            self.ego,
+            NO_VIEW,
+            np.ascontiguousarray(action, np.int64),
+        )
 
 
 def _published(scenario: Scenario) -> Floats:
@@ -193,9 +224,13 @@ def _lanes_of_pieces(scenario: Scenario, known: tables.Tables) -> Ints:
     """(P,) the network's lane of each piece, in the direction of its traffic."""
     from sim_node.env import lane_index
 
-    return np.array([
-        known.number[lane_index(scenario, lane, piece.start_m)]
-        for lane, plan in enumerate(scenario.lanes) for piece in plan.pieces])
+    return np.array(
+        [
+            known.number[lane_index(scenario, lane, piece.start_m)]
+            for lane, plan in enumerate(scenario.lanes)
+            for piece in plan.pieces
+        ]
+    )
 
 
 def _lanes_of_network(known: tables.Tables, lane_of_piece: Ints, pieces: Floats) -> Ints:

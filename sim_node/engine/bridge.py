@@ -17,37 +17,65 @@ from sim_node.engine.tables import UnsupportedError
 from sim_node.traffic import TrafficVehicle
 
 KINDS: dict[type, int] = {
-    IDMVehicle: kernel.IDM, TrafficVehicle: kernel.TRAFFIC, MDPVehicle: kernel.MDP, Obstacle: kernel.OBSTACLE,
+    IDMVehicle: kernel.IDM,
+    TrafficVehicle: kernel.TRAFFIC,
+    MDPVehicle: kernel.MDP,
+    Obstacle: kernel.OBSTACLE,
 }
 """The classes that the kernel knows, exactly: a subclass may behave otherwise. `sim_node.env` adds its ego."""
 
 CONSTANTS: dict[str, float] = {
-    "ACC_MAX": kernel.ACC_MAX, "COMFORT_ACC_MAX": kernel.COMFORT_ACC_MAX, "COMFORT_ACC_MIN": kernel.COMFORT_ACC_MIN,
-    "DISTANCE_WANTED": kernel.DISTANCE_WANTED, "TIME_WANTED": kernel.TIME_WANTED, "POLITENESS": 0.0,
+    "ACC_MAX": kernel.ACC_MAX,
+    "COMFORT_ACC_MAX": kernel.COMFORT_ACC_MAX,
+    "COMFORT_ACC_MIN": kernel.COMFORT_ACC_MIN,
+    "DISTANCE_WANTED": kernel.DISTANCE_WANTED,
+    "TIME_WANTED": kernel.TIME_WANTED,
+    "POLITENESS": 0.0,
     "LANE_CHANGE_MIN_ACC_GAIN": kernel.LANE_CHANGE_MIN_ACC_GAIN,
     "LANE_CHANGE_MAX_BRAKING_IMPOSED": kernel.LANE_CHANGE_MAX_BRAKING_IMPOSED,
-    "LANE_CHANGE_DELAY": kernel.LANE_CHANGE_DELAY, "MAX_SPEED": kernel.MAX_SPEED, "MIN_SPEED": kernel.MIN_SPEED,
-    "KP_A": kernel.KP_A, "KP_HEADING": kernel.KP_HEADING, "KP_LATERAL": kernel.KP_LATERAL,
-    "TAU_PURSUIT": kernel.TAU_PURSUIT, "MAX_STEERING_ANGLE": kernel.MAX_STEERING_ANGLE, "WIDTH": 2.0,
+    "LANE_CHANGE_DELAY": kernel.LANE_CHANGE_DELAY,
+    "MAX_SPEED": kernel.MAX_SPEED,
+    "MIN_SPEED": kernel.MIN_SPEED,
+    "KP_A": kernel.KP_A,
+    "KP_HEADING": kernel.KP_HEADING,
+    "KP_LATERAL": kernel.KP_LATERAL,
+    "TAU_PURSUIT": kernel.TAU_PURSUIT,
+    "MAX_STEERING_ANGLE": kernel.MAX_STEERING_ANGLE,
+    "WIDTH": 2.0,
 }
 """What is compiled in; a vehicle that has another value, of its own or of its class, is upstream's."""
 
-NO_VIEW = View(np.zeros((0, 0, 9), np.float32), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0, np.int64), 0.0,
-               0.0)
+NO_VIEW = View(np.zeros((0, 0, 9), np.float32), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0, np.int64), 0.0, 0.0)
 """Publishes nothing."""
 
 
-def new_ego(scenes: int, speeds: NDArray[np.float64], freezes: bool = False, pieces: NDArray[np.float64] | None = None,
-            gates: NDArray[np.float64] | None = None, floor: float = 0.0, ceiling: float = 0.0) -> Ego:
+def new_ego(
+    scenes: int,
+    speeds: NDArray[np.float64],
+    freezes: bool = False,
+    pieces: NDArray[np.float64] | None = None,
+    gates: NDArray[np.float64] | None = None,
+    floor: float = 0.0,
+    ceiling: float = 0.0,
+) -> Ego:
     """Egos at rest; see `Ego` for the fields."""
     return Ego(
-        meta=np.zeros(scenes, np.int64), speed_goal=np.full(scenes, np.nan), target_speed=np.zeros(scenes),
-        target_lane=np.zeros(scenes, np.int64), previous_lane=np.full(scenes, -1, np.int64), accel=np.zeros(scenes),
-        crashed=np.zeros(scenes, np.bool_), ticks=np.zeros(scenes, np.int64), speeds=speeds,
+        meta=np.zeros(scenes, np.int64),
+        speed_goal=np.full(scenes, np.nan),
+        target_speed=np.zeros(scenes),
+        target_lane=np.zeros(scenes, np.int64),
+        previous_lane=np.full(scenes, -1, np.int64),
+        accel=np.zeros(scenes),
+        crashed=np.zeros(scenes, np.bool_),
+        ticks=np.zeros(scenes, np.int64),
+        speeds=speeds,
         # Exactly these types: with an int for a float numba would compile anew, in the middle of a drive.
         pieces=np.zeros((1, 7)) if pieces is None else np.ascontiguousarray(pieces, np.float64),
         gates=np.zeros((1, 4)) if gates is None else np.ascontiguousarray(gates, np.float64),
-        floor=float(floor), ceiling=float(ceiling), freezes=freezes)
+        floor=float(floor),
+        ceiling=float(ceiling),
+        freezes=freezes,
+    )
 
 
 class Bridge:
@@ -110,8 +138,16 @@ class Bridge:
         """Give the vehicles and objects the state that `read` took and the kernel advanced."""
         rows, ints = self.f[0].tolist(), self.g[0]
         for v, kind, x, y, heading, speed, timer, steering, accel in zip(
-            road.vehicles, self.kinds, rows[kernel.X], rows[kernel.Y], rows[kernel.ANGLE], rows[kernel.SPEED],
-            rows[kernel.TIMER], rows[kernel.STEERING], rows[kernel.ACCEL], strict=False,
+            road.vehicles,
+            self.kinds,
+            rows[kernel.X],
+            rows[kernel.Y],
+            rows[kernel.ANGLE],
+            rows[kernel.SPEED],
+            rows[kernel.TIMER],
+            rows[kernel.STEERING],
+            rows[kernel.ACCEL],
+            strict=False,
         ):
             position = v.position
             position[0] = x
@@ -169,8 +205,9 @@ class Bridge:
         first = everything[0]
         if kinds[0] == kernel.EXECUTOR:
             bounds = first.scenario.ego
-            self.ego = new_ego(1, _NO_SPEEDS, False, first.pieces, first.gates, bounds.speed_floor_mps,
-                               bounds.speed_ceiling_mps)
+            self.ego = new_ego(
+                1, _NO_SPEEDS, False, first.pieces, first.gates, bounds.speed_floor_mps, bounds.speed_ceiling_mps
+            )
         else:
             self.ego = new_ego(1, first.target_speeds.astype(np.float64) if kinds[0] == kernel.MDP else _NO_SPEEDS)
         self.kinds, self._everything = kinds, everything

@@ -20,7 +20,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas import measures, messages
+from schemas.driving import measures
+from schemas.wire import messages
 from sim_node import executor
 from sim_node.engine import loops as numpy_loops
 from sim_node.engine import tables
@@ -57,7 +58,7 @@ ABSENT, IDM, TRAFFIC, MDP, EXECUTOR, OBSTACLE = range(6)
 """Kinds of vehicles: upstream's IDMVehicle, our TrafficVehicle, upstream's MDPVehicle, our EgoVehicle, Obstacle."""
 NO_ACTION = -1
 LEFT, IDLE, RIGHT, FASTER, SLOWER = range(5)
-"""Meta-actions of an MDP ego, as `DiscreteMetaAction.ACTIONS_ALL`; an EXECUTOR ego takes `schemas.messages`'."""
+"""Meta-actions of an MDP ego, as `DiscreteMetaAction.ACTIONS_ALL`; an EXECUTOR ego takes `schemas.wire.messages`'."""
 ABSENT_X_M = 1e6
 """Vehicles that have left are here: nobody's neighbour."""
 LEFT_ROAD_M = 20.0
@@ -167,8 +168,21 @@ def new_scratch(vehicles: int, lanes: int) -> Scratch:
     rows = np.zeros((9, vehicles))
     cos, sin, free, a, b, c, slip_sine, angle, diagonal = rows
     return Scratch(
-        cos, sin, free, a, b, c, slip_sine, angle, diagonal, np.zeros(vehicles, np.int64), np.zeros((2, 5, 2)),
-        np.zeros(lanes, np.int64), np.zeros((lanes, vehicles), np.int64), np.zeros((lanes, vehicles)))
+        cos,
+        sin,
+        free,
+        a,
+        b,
+        c,
+        slip_sine,
+        angle,
+        diagonal,
+        np.zeros(vehicles, np.int64),
+        np.zeros((2, 5, 2)),
+        np.zeros(lanes, np.int64),
+        np.zeros((lanes, vehicles), np.int64),
+        np.zeros((lanes, vehicles)),
+    )
 
 
 def _with(function: Any, **compiled: Any) -> Any:
@@ -370,7 +384,8 @@ def _mobil(calls: Any, roads: Any, scratch: Any, f: Any, g: Any, i: int, k: int)
     old_front, _ = _neighbours(calls, roads, scratch, f, g, i, g[LANE, i])
     free = scratch.free[i]
     gain = _behind(calls, roads, scratch, f, g, free, i, new_front) - _behind(
-        calls, roads, scratch, f, g, free, i, old_front)
+        calls, roads, scratch, f, g, free, i, old_front
+    )
     return not gain < LANE_CHANGE_MIN_ACC_GAIN
 
 
@@ -395,8 +410,10 @@ def _change_lane(calls: Any, roads: Any, scratch: Any, f: Any, g: Any, i: int) -
         return
     first, count = roads.graph[k, FIRST], roads.graph[k, COUNT]
     for side in (k - 1, k + 1):
-        if first <= side < first + count and _reachable(calls, roads.lanes[side], f[X, i], f[Y, i]) and (
-            _mobil(calls, roads, scratch, f, g, i, side)
+        if (
+            first <= side < first + count
+            and _reachable(calls, roads.lanes[side], f[X, i], f[Y, i])
+            and (_mobil(calls, roads, scratch, f, g, i, side))
         ):
             g[TARGET_LANE, i] = side
 
@@ -583,9 +600,7 @@ def _interval(min_a: float, max_a: float, min_b: float, max_b: float) -> float:
 
 
 @jit
-def _intersect(
-    calls: Any, scratch: Any, f: Any, i: int, j: int, dt: float
-) -> tuple[bool, bool, float, float]:
+def _intersect(calls: Any, scratch: Any, f: Any, i: int, j: int, dt: float) -> tuple[bool, bool, float, float]:
     """utils.are_polygons_intersecting: intersecting, will intersect, translation."""
     loops, args, box = calls.loops, calls.args, calls.box
     first, second = scratch.polygons[0], scratch.polygons[1]
@@ -594,9 +609,11 @@ def _intersect(
     mx = f[SPEED, i] * scratch.cos[i] * dt - f[SPEED, j] * scratch.cos[j] * dt
     my = f[SPEED, i] * scratch.sin[i] * dt - f[SPEED, j] * scratch.sin[j] * dt
     dx = ((first[0, 0] + first[1, 0]) + first[2, 0] + first[3, 0]) / 4 - (
-        (second[0, 0] + second[1, 0]) + second[2, 0] + second[3, 0]) / 4
+        (second[0, 0] + second[1, 0]) + second[2, 0] + second[3, 0]
+    ) / 4
     dy = ((first[0, 1] + first[1, 1]) + first[2, 1] + first[3, 1]) / 4 - (
-        (second[0, 1] + second[1, 1]) + second[2, 1] + second[3, 1]) / 4
+        (second[0, 1] + second[1, 1]) + second[2, 1] + second[3, 1]
+    ) / 4
     intersecting, will = True, True
     least, tx, ty = np.inf, 0.0, 0.0
     for which in range(2):
@@ -687,8 +704,7 @@ def _executor(ego: Ego, f: Any, scene: int, dt: float) -> None:
     """EgoVehicle.act without an action: the controls of an EXECUTOR ego."""
     y_target, lane_heading = _centre_line(ego.pieces, ego.target_lane[scene], f[X, 0])
     f[STEERING, 0] = _steering_command(f[Y, 0], f[ANGLE, 0], f[SPEED, 0], y_target, lane_heading)
-    f[ACCEL, 0] = _acceleration_command(
-        f[SPEED, 0], ego.target_speed[scene], ego.accel[scene], ego.meta[scene], dt)
+    f[ACCEL, 0] = _acceleration_command(f[SPEED, 0], ego.target_speed[scene], ego.accel[scene], ego.meta[scene], dt)
 
 
 @jit
@@ -699,8 +715,16 @@ def _begin(calls: Any, roads: Any, ego: Ego, f: Any, g: Any, scene: int, action:
     elif g[KIND, 0] == EXECUTOR:
         ego.meta[scene] = action
         ego.target_speed[scene], ego.target_lane[scene], ego.previous_lane[scene] = _edit_set_points(
-            action, ego.target_speed[scene], ego.target_lane[scene], ego.previous_lane[scene], ego.gates,
-            f[X, 0], ego.speed_goal[scene], ego.floor, ego.ceiling)
+            action,
+            ego.target_speed[scene],
+            ego.target_lane[scene],
+            ego.previous_lane[scene],
+            ego.gates,
+            f[X, 0],
+            ego.speed_goal[scene],
+            ego.floor,
+            ego.ceiling,
+        )
     elif not np.isnan(ego.speed_goal[scene]):  # an IDM ego takes no actions, but knows how fast it is to be
         ego.target_speed[scene] = ego.speed_goal[scene]
 
@@ -766,7 +790,15 @@ def _kernel(sources: int) -> Any:
     """The compiled entries. numba keys its cache by this closure, so a change in `sources` compiles anew."""
 
     def advance(
-        ticks: int, dt: float, roads: Roads, calls: Calls, scratch: Scratch, f: Any, g: Any, ego: Ego, view: View,
+        ticks: int,
+        dt: float,
+        roads: Roads,
+        calls: Calls,
+        scratch: Scratch,
+        f: Any,
+        g: Any,
+        ego: Ego,
+        view: View,
         action: Any,
     ) -> int:
         for scene in range(f.shape[0]):
@@ -792,7 +824,15 @@ def _kernel(sources: int) -> Any:
         return sources
 
     def settle(
-        roads: Roads, calls: Calls, scratch: Scratch, f: Any, g: Any, ego: Ego, view: View, scene: int, lane: Any,
+        roads: Roads,
+        calls: Calls,
+        scratch: Scratch,
+        f: Any,
+        g: Any,
+        ego: Ego,
+        view: View,
+        scene: int,
+        lane: Any,
         way: Any,
     ) -> int:
         f_s, g_s = f[scene], g[scene]

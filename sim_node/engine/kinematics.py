@@ -21,9 +21,24 @@ COLUMNS = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
 
 def _compiled(sources: int) -> Any:
     def kinematics(
-        calls: Calls, places: Any, heading: Any, speed: Any, ego: int, cars: int, start: Any, direction: Any,
-        sight: float, behind: float, see_behind: bool, ordered: bool, absolute: bool, ranges: Any, clip: bool,
-        key: Any, chosen: Any, out: Any,
+        calls: Calls,
+        places: Any,
+        heading: Any,
+        speed: Any,
+        ego: int,
+        cars: int,
+        start: Any,
+        direction: Any,
+        sight: float,
+        behind: float,
+        see_behind: bool,
+        ordered: bool,
+        absolute: bool,
+        ranges: Any,
+        clip: bool,
+        key: Any,
+        chosen: Any,
+        out: Any,
     ) -> int:
         """Road.close_objects_to and KinematicObservation.observe: rows of `COLUMNS` into `out`."""
         wanted = out.shape[0] - 1
@@ -94,11 +109,25 @@ class ArrayKinematics(KinematicObservation):  # type: ignore[misc]
         speed = [v.speed for v in cars] + [0.0] * (n - len(cars))
         out = np.zeros((self.vehicles_count, len(COLUMNS)))
         _kinematics(
-            _CALLS, np.concatenate([v.position for v in shown]).reshape(n, 2),
-            np.array([v.heading for v in shown], np.float64), np.array(speed, np.float64), cars.index(ego),
-            len(cars), ego.lane.start.astype(np.float64), ego.lane.direction, self.env.PERCEPTION_DISTANCE,
-            -2.0 * ego.LENGTH, bool(self.see_behind), self.order == "sorted", bool(self.absolute), self._ranges(),
-            bool(self.clip), np.empty(n), np.empty(n, np.int64), out)
+            _CALLS,
+            np.concatenate([v.position for v in shown]).reshape(n, 2),
+            np.array([v.heading for v in shown], np.float64),
+            np.array(speed, np.float64),
+            cars.index(ego),
+            len(cars),
+            ego.lane.start.astype(np.float64),
+            ego.lane.direction,
+            self.env.PERCEPTION_DISTANCE,
+            -2.0 * ego.LENGTH,
+            bool(self.see_behind),
+            self.order == "sorted",
+            bool(self.absolute),
+            self._ranges(),
+            bool(self.clip),
+            np.empty(n),
+            np.empty(n, np.int64),
+            out,
+        )
         seen = out[:, [COLUMNS.index(name) for name in self.features]]
         if self.order == "shuffled":
             self.env.np_random.shuffle(seen[1:])
@@ -110,10 +139,10 @@ class ArrayKinematics(KinematicObservation):  # type: ignore[misc]
         if self.normalize:
             if not self.features_range:
                 width = AbstractLane.DEFAULT_WIDTH * len(
-                    self.env.road.network.all_side_lanes(self.observer_vehicle.lane_index))
+                    self.env.road.network.all_side_lanes(self.observer_vehicle.lane_index)
+                )
                 far, fast = 5.0 * Vehicle.MAX_SPEED, 2 * Vehicle.MAX_SPEED
-                self.features_range = {"x": [-far, far], "y": [-width, width], "vx": [-fast, fast],
-                                       "vy": [-fast, fast]}
+                self.features_range = {"x": [-far, far], "y": [-width, width], "vx": [-fast, fast], "vy": [-fast, fast]}
             for name, bounds in self.features_range.items():
                 if name in self.features:
                     table[COLUMNS.index(name)] = bounds[0], bounds[1]

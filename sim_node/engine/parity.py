@@ -21,7 +21,7 @@ from highway_env.road.road import Road
 from highway_env.utils import class_from_path
 from numpy.typing import NDArray
 
-from schemas.messages import MetaAction
+from schemas.wire.messages import MetaAction
 from sim_node.engine import bridge, kernel
 from sim_node.engine.accelerated import accelerate
 from sim_node.engine.batched import Batched, BatchedRoads
@@ -61,9 +61,15 @@ class Figures:
 
     def __add__(self, other: Figures) -> Figures:
         return replace(
-            self, runs=self.runs + other.runs, ticks=self.ticks + other.ticks, crashes=self.crashes + other.crashes,
-            state=_worst(self.state, other.state), observation=_worst(self.observation, other.observation),
-            reward=_worst(self.reward, other.reward), flags=self.flags + other.flags)
+            self,
+            runs=self.runs + other.runs,
+            ticks=self.ticks + other.ticks,
+            crashes=self.crashes + other.crashes,
+            state=_worst(self.state, other.state),
+            observation=_worst(self.observation, other.observation),
+            reward=_worst(self.reward, other.reward),
+            flags=self.flags + other.flags,
+        )
 
 
 def cases() -> list[str]:
@@ -112,8 +118,16 @@ def _compare_stock(case: str, seed: int, seconds: float) -> list[Figures]:
             break
     crashes = sum(bool(v.crashed) for v in slow.road.vehicles)
     return [
-        Figures(case=case, variant="accelerated", ticks=ticks, crashes=crashes, state=state,
-                observation=worst_observation, reward=reward, flags=flags),
+        Figures(
+            case=case,
+            variant="accelerated",
+            ticks=ticks,
+            crashes=crashes,
+            state=state,
+            observation=worst_observation,
+            reward=reward,
+            flags=flags,
+        ),
         Figures(case=case, variant="batched", ticks=ticks, crashes=crashes, state=batched),
     ]
 
@@ -149,8 +163,12 @@ def _compare_ours(case: str, seed: int, seconds: float) -> list[Figures]:
         state = _worst(state, _gap(_set_points(slow.ego), _set_points(fast.ego)))
         floats, ints = many.state(0)
         batched = _worst(batched, _differ(reference, (_clean(floats, ints), ints)))
-        batched = _worst(batched, _gap(_set_points(slow.ego), [
-            many.target_speed[0], many.target_lane[0], many.previous_lane[0], many.accel[0]]))
+        batched = _worst(
+            batched,
+            _gap(
+                _set_points(slow.ego), [many.target_speed[0], many.target_lane[0], many.previous_lane[0], many.accel[0]]
+            ),
+        )
         seen = many.rows[0][many.rows[0, :, 0] >= 0]
         table = rows(slow, len(seen))
         batched_rows = _worst(batched_rows, _gap(table[np.argsort(table[:, 0])], seen))
@@ -161,8 +179,16 @@ def _compare_ours(case: str, seed: int, seconds: float) -> list[Figures]:
             break
     crashes = sum(bool(v.crashed) for v in slow.road.vehicles)
     return [
-        Figures(case=case, variant="accelerated", ticks=ticks, crashes=crashes, state=state,
-                observation=worst_observation, reward=reward, flags=flags),
+        Figures(
+            case=case,
+            variant="accelerated",
+            ticks=ticks,
+            crashes=crashes,
+            state=state,
+            observation=worst_observation,
+            reward=reward,
+            flags=flags,
+        ),
         Figures(case=case, variant="batched", ticks=ticks, crashes=crashes, state=batched, observation=batched_rows),
     ]
 
@@ -186,8 +212,13 @@ def _state(road: Road) -> State:
 
 def _clean(f: NDArray[np.float64], g: NDArray[np.int64]) -> NDArray[np.float64]:
     """Without impacts that are none."""
-    return np.where((np.arange(len(f))[:, None] >= kernel.PUSH_X) & (np.arange(len(f))[:, None] <= kernel.PUSH_Y)
-                    & (g[kernel.PUSHED] == 0), 0.0, f)
+    return np.where(
+        (np.arange(len(f))[:, None] >= kernel.PUSH_X)
+        & (np.arange(len(f))[:, None] <= kernel.PUSH_Y)
+        & (g[kernel.PUSHED] == 0),
+        0.0,
+        f,
+    )
 
 
 def _differ(a: State, b: State) -> float:
@@ -233,11 +264,15 @@ def main() -> int:
             totals[key] = totals[key] + one if key in totals else one
         print(f"\r{done}/{of} {figures[0].case:<32}", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
-    print(f"{'case':<26}{'variant':<13}{'runs':>5}{'ticks':>8}{'crashed':>9}{'state':>10}{'observed':>10}{'reward':>10}"
-          f"{'flags':>7}")
+    print(
+        f"{'case':<26}{'variant':<13}{'runs':>5}{'ticks':>8}{'crashed':>9}{'state':>10}{'observed':>10}{'reward':>10}"
+        f"{'flags':>7}"
+    )
     for f in totals.values():
-        print(f"{f.case:<26}{f.variant:<13}{f.runs:>5}{f.ticks:>8}{f.crashes:>9}{f.state:>10.3g}{f.observation:>10.3g}"
-              f"{f.reward:>10.3g}{f.flags:>7}")
+        print(
+            f"{f.case:<26}{f.variant:<13}{f.runs:>5}{f.ticks:>8}{f.crashes:>9}{f.state:>10.3g}{f.observation:>10.3g}"
+            f"{f.reward:>10.3g}{f.flags:>7}"
+        )
     return 0 if all(f.identical for f in totals.values()) else 1
 
 

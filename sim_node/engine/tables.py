@@ -62,8 +62,16 @@ def read(network: RoadNetwork, connected: bool) -> Tables:
             raise UnsupportedError("lanes that do not run along the x axis")
         sine = (lane.amplitude, lane.pulsation, lane.phase) if isinstance(lane, SineLane) else (0.0, 0.0, 0.0)
         limit = np.nan if lane.speed_limit is None else lane.speed_limit
-        geometry[k] = (*lane.start, lane.direction[0], lane.length, lane.heading, lane.width, limit, *sine,
-                       lane.forbidden)
+        geometry[k] = (
+            *lane.start,
+            lane.direction[0],
+            lane.length,
+            lane.heading,
+            lane.width,
+            limit,
+            *sine,
+            lane.forbidden,
+        )
         row = graph[k]
         row[FIRST], row[COUNT] = number[start, end, 0], len(network.graph[start][end])
         row[LINKS] = len(links)

@@ -12,21 +12,42 @@ LENGTH_M = 10_000.0
 
 def lanes(limit_mps: float) -> tuple[LanePlan, ...]:
     """Four lanes side by side, 4 m apart."""
-    return tuple(
-        LanePlan(pieces=straight(("a", "b"), LENGTH_M, 4.0 * k), speed_limit_mps=limit_mps) for k in range(4))
+    return tuple(LanePlan(pieces=straight(("a", "b"), LENGTH_M, 4.0 * k), speed_limit_mps=limit_mps) for k in range(4))
 
 
-def flow(lane: Literal["ego", "others"], start: Literal["ahead", "behind"], count: tuple[int, int], first_m: Range,
-         speed_mps: Range) -> Flow:
+def flow(
+    lane: Literal["ego", "others"],
+    start: Literal["ahead", "behind"],
+    count: tuple[int, int],
+    first_m: Range,
+    speed_mps: Range,
+) -> Flow:
     """Cars 75 to 160 m apart that would like to go a ninth faster than they start."""
-    return Flow(lane=lane, start=start, count=count, first_m=first_m, gap_m=(10.0, 10.0), gap_s=(3.0, 6.0),
-                speed_mps=speed_mps, eagerness=1.0 / 0.9, not_faster_than_ego=lane == "ego" and start == "behind")
+    return Flow(
+        lane=lane,
+        start=start,
+        count=count,
+        first_m=first_m,
+        gap_m=(10.0, 10.0),
+        gap_s=(3.0, 6.0),
+        speed_mps=speed_mps,
+        eagerness=1.0 / 0.9,
+        not_faster_than_ego=lane == "ego" and start == "behind",
+    )
 
 
 def slow(lane: Literal["ego", "others"], first_m: Range, speed_mps: Range, probability: float = 1.0) -> Flow:
     """One that keeps its lane and its speed, as a truck does."""
-    return Flow(lane=lane, start="ahead", count=(1, 1), first_m=first_m, gap_m=(0.0, 0.0), speed_mps=speed_mps,
-                lane_changes=False, probability=probability)
+    return Flow(
+        lane=lane,
+        start="ahead",
+        count=(1, 1),
+        first_m=first_m,
+        gap_m=(0.0, 0.0),
+        speed_mps=speed_mps,
+        lane_changes=False,
+        probability=probability,
+    )
 
 
 def flows(speed_mps: Range, slow_mps: Range) -> tuple[Flow, ...]:

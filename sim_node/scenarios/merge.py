@@ -11,35 +11,69 @@ AMPLITUDE_M = 3.25
 """The ramp swings in by twice this, as in highway-env's merge."""
 
 
-def lanes(before_m: float, converge_m: float, parallel_m: float, after_m: float,
-          limit_mps: float) -> tuple[LanePlan, ...]:
+def lanes(
+    before_m: float, converge_m: float, parallel_m: float, after_m: float, limit_mps: float
+) -> tuple[LanePlan, ...]:
     """Two through lanes and a ramp: straight, a half sine, then beside the highway until it ends."""
     opens, ends = before_m + converge_m, before_m + converge_m + parallel_m
     through = tuple(
-        LanePlan(speed_limit_mps=limit_mps, pieces=(
-            Piece(edge=("a", "b"), start_m=0.0, end_m=opens, y_m=y),
-            Piece(edge=("b", "c"), start_m=opens, end_m=ends, y_m=y),
-            Piece(edge=("c", "d"), start_m=ends, end_m=ends + after_m, y_m=y),
-        )) for y in (0.0, 4.0))
-    ramp = LanePlan(speed_limit_mps=limit_mps, kind="ramp", change_from_m=opens, pieces=(
-        Piece(edge=("j", "k"), start_m=0.0, end_m=before_m, y_m=8.0 + 2 * AMPLITUDE_M),
-        Piece(edge=("k", "b"), start_m=before_m, end_m=opens, y_m=8.0 + AMPLITUDE_M, amplitude_m=AMPLITUDE_M,
-              pulsation=math.pi / converge_m, phase=math.pi / 2),
-        Piece(edge=("b", "c"), start_m=opens, end_m=ends, y_m=8.0),
-    ))
+        LanePlan(
+            speed_limit_mps=limit_mps,
+            pieces=(
+                Piece(edge=("a", "b"), start_m=0.0, end_m=opens, y_m=y),
+                Piece(edge=("b", "c"), start_m=opens, end_m=ends, y_m=y),
+                Piece(edge=("c", "d"), start_m=ends, end_m=ends + after_m, y_m=y),
+            ),
+        )
+        for y in (0.0, 4.0)
+    )
+    ramp = LanePlan(
+        speed_limit_mps=limit_mps,
+        kind="ramp",
+        change_from_m=opens,
+        pieces=(
+            Piece(edge=("j", "k"), start_m=0.0, end_m=before_m, y_m=8.0 + 2 * AMPLITUDE_M),
+            Piece(
+                edge=("k", "b"),
+                start_m=before_m,
+                end_m=opens,
+                y_m=8.0 + AMPLITUDE_M,
+                amplitude_m=AMPLITUDE_M,
+                pulsation=math.pi / converge_m,
+                phase=math.pi / 2,
+            ),
+            Piece(edge=("b", "c"), start_m=opens, end_m=ends, y_m=8.0),
+        ),
+    )
     return (*through, ramp)
 
 
 def through_traffic(lane: int, speed_mps: Range, target_mps: Range) -> Flow:
     """2 to 4 cars on one lane of the highway."""
-    return Flow(lane=lane, count=(2, 4), start="at", first_m=(0.0, 25.0), gap_m=(8.0, 8.0), gap_s=(1.2, 3.0),
-                speed_mps=speed_mps, target_mps=target_mps)
+    return Flow(
+        lane=lane,
+        count=(2, 4),
+        start="at",
+        first_m=(0.0, 25.0),
+        gap_m=(8.0, 8.0),
+        gap_s=(1.2, 3.0),
+        speed_mps=speed_mps,
+        target_mps=target_mps,
+    )
 
 
 def slow(lane: int, at_m: Range, speed_mps: Range, probability: float = 1.0) -> Flow:
     """One that keeps its lane and its speed: merging is not done with reaching the highway."""
-    return Flow(lane=lane, count=(1, 1), start="at", first_m=at_m, gap_m=(0.0, 0.0), speed_mps=speed_mps,
-                lane_changes=False, probability=probability)
+    return Flow(
+        lane=lane,
+        count=(1, 1),
+        start="at",
+        first_m=at_m,
+        gap_m=(0.0, 0.0),
+        speed_mps=speed_mps,
+        lane_changes=False,
+        probability=probability,
+    )
 
 
 MERGE = Scenario(
@@ -48,8 +82,16 @@ MERGE = Scenario(
     lanes=lanes(150.0, 80.0, 120.0, 400.0, 20.0),
     ego=EgoPlan(lanes=(2,), x_m=(20.0, 60.0), speed_mps=(14.0, 17.0), speed_ceiling_mps=20.0),
     flows=(
-        Flow(lane=2, count=(1, 1), start="ahead", first_m=(30.0, 50.0), gap_m=(0.0, 0.0), speed_mps=(13.5, 17.5),
-             target_mps=(14.0, 18.0), probability=0.5),
+        Flow(
+            lane=2,
+            count=(1, 1),
+            start="ahead",
+            first_m=(30.0, 50.0),
+            gap_m=(0.0, 0.0),
+            speed_mps=(13.5, 17.5),
+            target_mps=(14.0, 18.0),
+            probability=0.5,
+        ),
         slow(0, (120.0, 150.0), (10.0, 11.0)),
         through_traffic(0, (13.5, 17.5), (14.0, 18.0)),
         through_traffic(1, (13.5, 17.5), (14.0, 18.0)),
@@ -68,8 +110,16 @@ NATURAL = replace(
     lanes=lanes(200.0, 120.0, 220.0, 600.0, 30.0),
     ego=EgoPlan(lanes=(2,), x_m=(20.0, 60.0), speed_mps=(18.0, 22.0), speed_ceiling_mps=30.0),
     flows=(
-        Flow(lane=2, count=(1, 1), start="ahead", first_m=(40.0, 70.0), gap_m=(0.0, 0.0), speed_mps=(18.0, 22.0),
-             target_mps=(20.0, 25.0), probability=0.5),
+        Flow(
+            lane=2,
+            count=(1, 1),
+            start="ahead",
+            first_m=(40.0, 70.0),
+            gap_m=(0.0, 0.0),
+            speed_mps=(18.0, 22.0),
+            target_mps=(20.0, 25.0),
+            probability=0.5,
+        ),
         slow(0, (200.0, 240.0), (12.0, 14.0)),
         through_traffic(0, (21.0, 28.0), (21.0, 28.0)),
         through_traffic(1, (21.0, 28.0), (21.0, 28.0)),
@@ -86,12 +136,26 @@ MAIN = replace(
     ego=EgoPlan(lanes=(0, 1), x_m=(60.0, 80.0), speed_mps=(15.0, 17.0), speed_ceiling_mps=20.0),
     flows=(
         Flow(lane="ego", count=(1, 1), start="ahead", first_m=(25.0, 40.0), gap_m=(0.0, 0.0), speed_mps=(11.0, 13.0)),
-        Flow(lane="ego", count=(1, 2), start="behind", first_m=(25.0, 35.0), gap_m=(20.0, 30.0),
-             speed_mps=(13.5, 17.5), not_faster_than_ego=True),
+        Flow(
+            lane="ego",
+            count=(1, 2),
+            start="behind",
+            first_m=(25.0, 35.0),
+            gap_m=(20.0, 30.0),
+            speed_mps=(13.5, 17.5),
+            not_faster_than_ego=True,
+        ),
         slow(0, (160.0, 180.0), (10.0, 11.0), probability=0.6),
         slow(1, (160.0, 180.0), (10.0, 11.0), probability=0.6),
-        Flow(lane=2, count=(1, 2), start="at", first_m=(30.0, 90.0), gap_m=(25.0, 40.0), speed_mps=(13.5, 17.5),
-             target_mps=(14.0, 18.0)),
+        Flow(
+            lane=2,
+            count=(1, 2),
+            start="at",
+            first_m=(30.0, 90.0),
+            gap_m=(25.0, 40.0),
+            speed_mps=(13.5, 17.5),
+            target_mps=(14.0, 18.0),
+        ),
     ),
     success=Success(reach_x_m=410.0, reach_lanes=(0, 1), mean_speed_mps=10.0),
 )

@@ -1,6 +1,6 @@
 """What a scenario is: roads, traffic, the ego, success. Data only; one environment and one engine drive them all.
 
-SI units; the road frame of `schemas.messages` (x along the ego's way, y growing to the right, lane 0 leftmost).
+SI units; the road frame of `schemas.wire.messages` (x along the ego's way, y growing to the right, lane 0 leftmost).
 Ranges are (low, high) of a uniform draw; of integers both ends are included.
 """
 
@@ -15,8 +15,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from schemas.messages import Lane
-from schemas.wish import ANY_LANE, lead_of
+from schemas.driving.intent import ANY_LANE, lead_of
+from schemas.wire.messages import Lane
 
 Range = tuple[float, float]
 CAR_LENGTH_M = 5.0
@@ -177,9 +177,18 @@ class Scenario:
         def shorter(r: Range) -> Range:
             return r[0] / factor, r[1] / factor
 
-        return replace(self, flows=tuple(
-            replace(f, gap_m=shorter(f.gap_m), gap_s=shorter(f.gap_s),
-                    first_m=f.first_m if f.start == "at" else shorter(f.first_m)) for f in self.flows))
+        return replace(
+            self,
+            flows=tuple(
+                replace(
+                    f,
+                    gap_m=shorter(f.gap_m),
+                    gap_s=shorter(f.gap_s),
+                    first_m=f.first_m if f.start == "at" else shorter(f.first_m),
+                )
+                for f in self.flows
+            ),
+        )
 
     @property
     def vehicles_max(self) -> int:
@@ -193,8 +202,11 @@ class Scenario:
 
     @cached_property
     def _pieces(self) -> list[tuple[float, ...]]:
-        return [(float(lane), p.start_m, p.end_m, p.y_m, p.amplitude_m, p.pulsation, p.phase)
-                for lane, plan in enumerate(self.lanes) for p in plan.pieces]
+        return [
+            (float(lane), p.start_m, p.end_m, p.y_m, p.amplitude_m, p.pulsation, p.phase)
+            for lane, plan in enumerate(self.lanes)
+            for p in plan.pieces
+        ]
 
     def pieces(self) -> NDArray[np.float64]:
         """(P, 7) lane, start, end, y, amplitude, pulsation, phase: the table that `centre_line` reads."""
@@ -202,20 +214,28 @@ class Scenario:
 
     def gates(self) -> NDArray[np.float64]:
         """(L, 4) start, end, change_from, is a ramp (0 or 1): where lane changes are possible at all."""
-        return np.array([
-            (plan.pieces[0].start_m, plan.pieces[-1].end_m, plan.change_from_m, plan.kind == "ramp")
-            for plan in self.lanes
-        ], np.float64)
+        return np.array(
+            [
+                (plan.pieces[0].start_m, plan.pieces[-1].end_m, plan.change_from_m, plan.kind == "ramp")
+                for plan in self.lanes
+            ],
+            np.float64,
+        )
 
     def lanes_at(self, x_m: float) -> tuple[Lane, ...]:
         """The lanes as they are published to an ego at `x_m`."""
         table = self._pieces
         return tuple(
             Lane(
-                y_m=round(centre_line(table, lane, x_m)[0], 9), start_m=plan.pieces[0].start_m,
-                end_m=plan.pieces[-1].end_m, direction=plan.direction, width_m=plan.width_m,
-                speed_limit_mps=plan.speed_limit_mps, kind=plan.kind,
-                change_from_m=max(plan.change_from_m, -1e9))
+                y_m=round(centre_line(table, lane, x_m)[0], 9),
+                start_m=plan.pieces[0].start_m,
+                end_m=plan.pieces[-1].end_m,
+                direction=plan.direction,
+                width_m=plan.width_m,
+                speed_limit_mps=plan.speed_limit_mps,
+                kind=plan.kind,
+                change_from_m=max(plan.change_from_m, -1e9),
+            )
             for lane, plan in enumerate(self.lanes)
         )
 
@@ -246,8 +266,16 @@ class Scenario:
         targets[0] = speeds[0]
         directions = np.array([plan.direction for plan in self.lanes], np.int64)
         n = len(cars)
-        return Spawn(x, lane_of, directions[lane_of], speeds, targets, rng.uniform(*self.delta, size=n),
-                     rng.uniform(0.0, 1.0, size=n), changes)
+        return Spawn(
+            x,
+            lane_of,
+            directions[lane_of],
+            speeds,
+            targets,
+            rng.uniform(*self.delta, size=n),
+            rng.uniform(0.0, 1.0, size=n),
+            changes,
+        )
 
 
 def streams(seed: int) -> tuple[Generator, Generator, Generator]:

@@ -15,11 +15,26 @@ def lanes(length_m: float, limit_mps: float) -> tuple[LanePlan, ...]:
     )
 
 
-def flow(lane: int, start: str, count: tuple[int, int], first_m: Range, gap_m: Range, speed_mps: Range,
-         not_faster_than_ego: bool = False) -> Flow:
+def flow(
+    lane: int,
+    start: str,
+    count: tuple[int, int],
+    first_m: Range,
+    gap_m: Range,
+    speed_mps: Range,
+    not_faster_than_ego: bool = False,
+) -> Flow:
     """Cars that keep their lane and start with the speed they want."""
-    return Flow(lane=lane, count=count, start=start, first_m=first_m, gap_m=gap_m,  # type: ignore[arg-type]
-                speed_mps=speed_mps, not_faster_than_ego=not_faster_than_ego, lane_changes=False)
+    return Flow(
+        lane=lane,
+        count=count,
+        start=start,  # type: ignore[arg-type]
+        first_m=first_m,
+        gap_m=gap_m,
+        speed_mps=speed_mps,
+        not_faster_than_ego=not_faster_than_ego,
+        lane_changes=False,
+    )
 
 
 TWO_WAY = Scenario(

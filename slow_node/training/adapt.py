@@ -32,9 +32,9 @@ from tokenizers.pre_tokenizers import Sequence as Both
 from torch import Tensor, nn
 from torch.nn import functional
 
-from slow_node.embedded import ADAPTER, weights_path
 from slow_node.evaluation.score import exam_texts, plain_text
-from slow_node.prompt import adapted_prompt
+from slow_node.llm.embedded import ADAPTER, weights_path
+from slow_node.planning.prompt import adapted_prompt
 from slow_node.training.generate import Generator, Sample, load_stock, slots_of
 from slow_node.training.train import split
 
@@ -70,8 +70,10 @@ class Llama(nn.Module):
             return metadata(reader, f"llama.{name}")
 
         self.layers, self.eps = number("block_count"), number("attention.layer_norm_rms_epsilon")
-        self.w = {t.name: torch.from_numpy(np.array(gguf.quants.dequantize(t.data, t.tensor_type), np.float32))
-                  for t in reader.tensors}
+        self.w = {
+            t.name: torch.from_numpy(np.array(gguf.quants.dequantize(t.data, t.tensor_type), np.float32))
+            for t in reader.tensors
+        }
         width = number("rope.dimension_count")
         self.turns = number("rope.freq_base") ** (-torch.arange(0, width, 2) / width)
         self.delta = nn.ParameterDict()
@@ -88,7 +90,8 @@ class Llama(nn.Module):
         key = f"{name}.weight".replace(".", "/")
         low = functional.linear(x, self.delta[f"{key}/a"].bfloat16())
         return functional.linear(x, self.w[f"{name}.weight"]) + functional.linear(
-            low, (ALPHA / RANK * self.delta[f"{key}/b"]).bfloat16())
+            low, (ALPHA / RANK * self.delta[f"{key}/b"]).bfloat16()
+        )
 
     def _norm(self, x: Tensor, name: str) -> Tensor:
         return functional.rms_norm(x, x.shape[-1:], self.w[f"{name}.weight"], self.eps).bfloat16()
@@ -108,10 +111,13 @@ class Llama(nn.Module):
         for layer in range(self.layers):
             at = f"blk.{layer}"
             y = self._norm(x, f"{at}.attn_norm")
-            q, k, v = (self._linear(y, f"{at}.attn_{n}").view(batch, tokens, -1, 2 * len(self.turns)).transpose(1, 2)
-                       for n in "qkv")
-            y = functional.scaled_dot_product_attention(self._turned(q), self._turned(k), v, is_causal=True,
-                                                        enable_gqa=True)
+            q, k, v = (
+                self._linear(y, f"{at}.attn_{n}").view(batch, tokens, -1, 2 * len(self.turns)).transpose(1, 2)
+                for n in "qkv"
+            )
+            y = functional.scaled_dot_product_attention(
+                self._turned(q), self._turned(k), v, is_causal=True, enable_gqa=True
+            )
             x = x + self._linear(y.transpose(1, 2).reshape(batch, tokens, -1), f"{at}.attn_output")
             y = self._norm(x, f"{at}.ffn_norm")
             gate = functional.silu(self._linear(y, f"{at}.ffn_gate"))
@@ -214,17 +220,29 @@ def train(out: Path, size: int, seed: int, before: Path | None = None) -> None:
                 held_out = sum(float(loss_of(model, *pair)) for pair in check) / len(check)
             print(f"held-out loss {held_out:.3f}", file=sys.stderr, flush=True)
             save(model, out)
-    out.with_suffix(".json").write_text(json.dumps({
-        "base": weights_path().name, "rank": RANK, "alpha": ALPHA, "commands": len(samples), "seed": seed,
-        "second_pass": before is not None,
-        "held_out_loss": round(held_out, 4)}, indent=1) + "\n")
+    out.with_suffix(".json").write_text(
+        json.dumps(
+            {
+                "base": weights_path().name,
+                "rank": RANK,
+                "alpha": ALPHA,
+                "commands": len(samples),
+                "seed": seed,
+                "second_pass": before is not None,
+                "held_out_loss": round(held_out, 4),
+            },
+            indent=1,
+        )
+        + "\n"
+    )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ADAPTER)
-    parser.add_argument("--size", type=int, default=13_000,
-                        help="commands of the first pass; the second has two thirds of that")
+    parser.add_argument(
+        "--size", type=int, default=13_000, help="commands of the first pass; the second has two thirds of that"
+    )
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     train(options.out, options.size, options.seed)

@@ -24,10 +24,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from slow_node.evaluation.score import exam_texts, plain_text
-from slow_node.numbers import SPELLING_LANGUAGES, quantities, spelled
-from slow_node.reader import HEADS, with_numbers
-from slow_node.slots import Slots
 from slow_node.training.noise import Noise
+from slow_node.understanding.numbers import SPELLING_LANGUAGES, quantities, spelled
+from slow_node.understanding.reader import HEADS, with_numbers
+from slow_node.understanding.slots import Slots
 
 LIMIT_MPS = 33.0
 """Of the scene for which the phrases are labelled."""
@@ -96,9 +96,11 @@ def load_stock(folder: Path = PHRASES) -> Stock:
 
 _OPTIONAL = re.compile(r"\[[^\[\]]*\]")
 _CHOICE = re.compile(r"\(([^()\[\]]*\|[^()\[\]]*)\)|\[([^()\[\]]*)\]")
-_TAILGATING = re.compile(r"tailgat|bumper|backside|behind him|gap|metre|half a second|bother|limit|allowed|legal|"
+_TAILGATING = re.compile(
+    r"tailgat|bumper|backside|behind him|gap|metre|half a second|bother|limit|allowed|legal|"
     r"no matter"
-                         r"|even |whatever|don't|without|never|\bsit|intimid|over |0\.")
+    r"|even |whatever|don't|without|never|\bsit|intimid|over |0\."
+)
 
 
 class Generator:
@@ -115,8 +117,13 @@ class Generator:
             self._by[frame.language, self._group(frame)].append(frame)
             if slots["outcome"] == "directive":
                 self._like[frame.language, frozenset(slots)].append(frame)
-                if (not {"cancel", "number"} & set(slots) and "keep" not in slots.values() and len(frame.text) < 45
-                        and slots.get("overtake") != "false" and (frame.imperative or frame.language != "en")):
+                if (
+                    not {"cancel", "number"} & set(slots)
+                    and "keep" not in slots.values()
+                    and len(frame.text) < 45
+                    and slots.get("overtake") != "false"
+                    and (frame.imperative or frame.language != "en")
+                ):
                     self._plain[frame.language].append(frame)
         self._imperatives = [f for f in stock.frames if f.imperative]
         self._noise = Noise(self._r, stock.words)
@@ -152,9 +159,21 @@ class Generator:
         return self._say(frame)
 
     def _composed(self) -> Sample | None:
-        kinds = {self._dressed: 40, self._compound: 24, self._correction: 8, self._taken_back: 4, self._replaced: 4,
-                 self._not_but: 3, self._negated: 8, self._mixed: 9, self._contradicted: 7, self._undecided: 2,
-                 self._salad: 3, self._mumbled: 2, self._gibberish: 2}
+        kinds = {
+            self._dressed: 40,
+            self._compound: 24,
+            self._correction: 8,
+            self._taken_back: 4,
+            self._replaced: 4,
+            self._not_but: 3,
+            self._negated: 8,
+            self._mixed: 9,
+            self._contradicted: 7,
+            self._undecided: 2,
+            self._salad: 3,
+            self._mumbled: 2,
+            self._gibberish: 2,
+        }
         try:
             return self._r.choices(list(kinds), list(kinds.values()))[0]()
         except (IndexError, ValueError):  # a small stock, as the held-out one, lacks what this kind is made of
@@ -166,8 +185,11 @@ class Generator:
     def _frame(self, language: str, *, wish: bool = False) -> Frame:
         """A frame of any group, groups weighted by the root of their size; `wish`: a directive, and no cancelling."""
         if (language, wish) not in self._groups:
-            groups = [(key[1], frames) for key, frames in self._by.items() if key[0] == language and (
-                not wish or ("outcome=directive" in key[1] and "cancel" not in key[1]))]
+            groups = [
+                (key[1], frames)
+                for key, frames in self._by.items()
+                if key[0] == language and (not wish or ("outcome=directive" in key[1] and "cancel" not in key[1]))
+            ]
             weights = [len(g[1]) ** 0.5 * (1.0 if "outcome=directive" in g[0] else 3.0) for g in groups]
             self._groups[language, wish] = [g[1] for g in groups], weights
         return self._r.choice(self._r.choices(*self._groups[language, wish])[0])
@@ -248,8 +270,12 @@ class Generator:
                 label[slot] = value
         if label.get("speed") == "stop" and len(label) > 3 - ("lane" in label):
             return None
-        if label.get("number") and {"speed", "gap"} & set(label) and not any(
-                "number" in f.slots and len(f.slots) > 2 for f in parts) and label["number"] != "headway":
+        if (
+            label.get("number")
+            and {"speed", "gap"} & set(label)
+            and not any("number" in f.slots and len(f.slots) > 2 for f in parts)
+            and label["number"] != "headway"
+        ):
             return None
         joints = self._stock.words[language, "and"] or [",", ".", " +"]
         text = self._say(parts[0])
@@ -317,9 +343,11 @@ class Generator:
         wish = self._frame(language, wish=True)
         other = self._of(language, f"outcome={'refused' if self._r.random() < 0.5 else 'out_of_scope'}")
         joints = self._stock.words[language, "and"] or [",", "."]
-        if other.language == "en" and re.match("turn|go|take|navigate|drive|never|don't|do not|no |stop|slow",
-            other.text) \
-                and other.slots["outcome"] == "out_of_scope":
+        if (
+            other.language == "en"
+            and re.match("turn|go|take|navigate|drive|never|don't|do not|no |stop|slow", other.text)
+            and other.slots["outcome"] == "out_of_scope"
+        ):
             return None
         parts = [self._say(wish).rstrip(".!?"), self._say(other).rstrip(".!?")]
         self._r.shuffle(parts)
@@ -365,9 +393,17 @@ class Generator:
         first, last = self._frame("en", wish=True), self._frame("en", wish=True)
         if set(first.slots) != set(last.slots) or first.label == last.label:
             return None
-        ask = self._r.choice(("{x} or {y}, who knows", "either {x} or {y}", "{x} or {y}, I don't care",
-            "maybe {x}, maybe {y}",
-                              "{x} and {y} at the same time", "{x} or {y} or whatever", "{x}? {y}? I can't decide"))
+        ask = self._r.choice(
+            (
+                "{x} or {y}, who knows",
+                "either {x} or {y}",
+                "{x} or {y}, I don't care",
+                "maybe {x}, maybe {y}",
+                "{x} and {y} at the same time",
+                "{x} or {y} or whatever",
+                "{x}? {y}? I can't decide",
+            )
+        )
         text = ask.replace("{x}", self._say(first)).replace("{y}", self._say(last))
         return self._finish(text, first, {"outcome": "unclear"})
 
@@ -393,11 +429,15 @@ def _clash(one: str, other: str) -> bool:
     if one == other:
         return one in ("speed", "headway")  # kinds of numbers: two of them
     return not {"delta", "limit"} & {one, other} and {one, other} not in (
-        {"slower", "stop"}, {"left", "leftmost"}, {"right", "rightmost"}, {"speed", "headway"})
+        {"slower", "stop"},
+        {"left", "leftmost"},
+        {"right", "rightmost"},
+        {"speed", "headway"},
+    )
 
 
 def _gerund(verb: str) -> str:
-    """"pass" to "passing", "close" to "closing", "stop" to "stopping"."""
+    """ "pass" to "passing", "close" to "closing", "stop" to "stopping"."""
     if verb.endswith("e") and not verb.endswith(("ee", "oe", "be")):
         return f"{verb[:-1]}ing"
     if re.fullmatch(r"(?:\w*[^aeiou])?[aeiou][bdgmnpt]", verb) and not re.fullmatch(r"open|\w+en", verb):
@@ -405,11 +445,30 @@ def _gerund(verb: str) -> str:
     return f"{verb}ing"
 
 
-_SYLLABLES = (("b", "d", "fl", "g", "gr", "kl", "m", "pl", "sn", "squ", "thr", "w", "z"), ("a", "i", "o", "oo", "u"),
-              ("b", "dd", "ff", "mb", "nk", "pp", "rg", "zz"), ("le", "et", "ity", "o", "", "er", "ing"))
+_SYLLABLES = (
+    ("b", "d", "fl", "g", "gr", "kl", "m", "pl", "sn", "squ", "thr", "w", "z"),
+    ("a", "i", "o", "oo", "u"),
+    ("b", "dd", "ff", "mb", "nk", "pp", "rg", "zz"),
+    ("le", "et", "ity", "o", "", "er", "ing"),
+)
 _SPEED_UNITS: dict[str, tuple[str, ...]] = {
-    "en": (" km/h", " kmh", " kph", " kilometres per hour", " kilometers an hour", " k", " mph", " miles an hour",
-           " miles per hour", " m/s", " meters per second", " knots", " clicks", "km/h", "mph"),
+    "en": (
+        " km/h",
+        " kmh",
+        " kph",
+        " kilometres per hour",
+        " kilometers an hour",
+        " k",
+        " mph",
+        " miles an hour",
+        " miles per hour",
+        " m/s",
+        " meters per second",
+        " knots",
+        " clicks",
+        "km/h",
+        "mph",
+    ),
     "de": (" km/h", " kmh", " Stundenkilometer", " Sachen", " Kilometer pro Stunde", " Meter pro Sekunde", "km/h"),
     "fr": (" km/h", " kilomètres à l'heure", " kilomètres heure", " à l'heure", " mètres par seconde", "km/h"),
     "es": (" km/h", " kilómetros por hora", " por hora", " metros por segundo", "km/h"),
@@ -444,15 +503,26 @@ def in_scenes(samples: list[Sample], seed: int) -> Iterator[dict[str, object]]:
     r = random.Random(seed)
     for number, sample in enumerate(samples, 1):
         speed = round(r.uniform(15.0, LIMIT_MPS), 1)
-        vehicles = [{"lane": 1, "gap_m": round(r.uniform(12.0, 80.0), 1),
-                     "speed_mps": round(r.uniform(0.6, 1.0) * speed, 1)}]
-        vehicles += [{"lane": r.choice((0, 2, 3)), "gap_m": round(r.choice((-1.0, 1.0)) * r.uniform(5.0, 100.0), 1),
-                      "speed_mps": round(r.uniform(0.7, 1.2) * speed, 1)} for _ in range(r.randrange(5))]
+        vehicles = [
+            {"lane": 1, "gap_m": round(r.uniform(12.0, 80.0), 1), "speed_mps": round(r.uniform(0.6, 1.0) * speed, 1)}
+        ]
+        vehicles += [
+            {
+                "lane": r.choice((0, 2, 3)),
+                "gap_m": round(r.choice((-1.0, 1.0)) * r.uniform(5.0, 100.0), 1),
+                "speed_mps": round(r.uniform(0.7, 1.2) * speed, 1),
+            }
+            for _ in range(r.randrange(5))
+        ]
         slots = with_numbers(slots_of(sample.label), sample.label["number"], quantities(sample.text), speed, LIMIT_MPS)
         yield {
-            "id": f"g{number}", "text": sample.text, "language": sample.language,
+            "id": f"g{number}",
+            "text": sample.text,
+            "language": sample.language,
             "scene": {"lanes": 4, "ego_lane": 1, "speed_mps": speed, "limit_mps": LIMIT_MPS, "vehicles": vehicles},
-            "outcome": slots.outcome, "slots": slots.labelled(LIMIT_MPS)}
+            "outcome": slots.outcome,
+            "slots": slots.labelled(LIMIT_MPS),
+        }
 
 
 def seeds(stock: Stock, seed: int) -> Iterator[dict[str, object]]:
@@ -474,12 +544,18 @@ def seeds(stock: Stock, seed: int) -> Iterator[dict[str, object]]:
             known = dict(label)
             slots = with_numbers(slots_of(known), known.get("number", "none"), quantities(text), 25, 33)
             heard = [f"{k} {v}" for k, v in slots.model_dump(exclude_defaults=True, exclude={"outcome"}).items()]
-            reason = {"refused": "dangerous or against the rules", "out_of_scope": "not about how the car drives",
-                      "unclear": "cannot be told: ask"}.get(slots.outcome, "wants " + ", ".join(heard))
+            reason = {
+                "refused": "dangerous or against the rules",
+                "out_of_scope": "not about how the car drives",
+                "unclear": "cannot be told: ask",
+            }.get(slots.outcome, "wants " + ", ".join(heard))
             if slots.outcome == "directive" and slots.wishes_nothing():
                 continue
-            yield {"command": text[:1].upper() + text[1:], "scene": "one-way road; slow car ahead",
-                   "slots": json.loads(slots.model_copy(update={"reasoning": reason[:80]}).compact())}
+            yield {
+                "command": text[:1].upper() + text[1:],
+                "scene": "one-way road; slow car ahead",
+                "slots": json.loads(slots.model_copy(update={"reasoning": reason[:80]}).compact()),
+            }
 
 
 def main() -> None:

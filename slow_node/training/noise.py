@@ -17,8 +17,9 @@ class Noise:
         self._r = r
         self._fillers = {language: lines for (language, section), lines in words.items() if section == "filler"}
         self._heard = _misspellings(words.get(("en", "heard"), []))
-        self._chat = {language: _misspellings(lines) for (language, section), lines in words.items()
-                      if section == "chat"}
+        self._chat = {
+            language: _misspellings(lines) for (language, section), lines in words.items() if section == "chat"
+        }
 
     def heard(self, text: str, language: str) -> str:
         """A sentence as it arrives: about half of them unharmed, in some spelling of upper and lower case."""
@@ -59,8 +60,12 @@ class Noise:
         if roll < 0.88:
             return self._crackling(words) if self._r.random() < 0.4 else self._stumbling(words, language)
         if roll < 0.92:  # hardly a word as it should be
-            return " ".join(self._r.choice((w, self._slip(w), self._slip(self._as_heard(w)), self._as_heard(w)))
-                            if len(w) > 2 else w for w in words)
+            return " ".join(
+                self._r.choice((w, self._slip(w), self._slip(self._as_heard(w)), self._as_heard(w)))
+                if len(w) > 2
+                else w
+                for w in words
+            )
         for _ in range(1 + len(text) // 30):
             text = self._slip(text)
         return text
@@ -83,8 +88,11 @@ class Noise:
         text = typed[0]
         glue = self._r.random() < 0.4
         for word in typed[1:]:
-            text += word if glue and self._r.random() < 0.4 and not (text[-1].isdigit() or word[:1].isdigit()) \
+            text += (
+                word
+                if glue and self._r.random() < 0.4 and not (text[-1].isdigit() or word[:1].isdigit())
                 else f" {word}"
+            )
         return text
 
     def _stumbling(self, words: list[str], language: str) -> str:
@@ -95,8 +103,16 @@ class Noise:
 
     def _crackling(self, words: list[str]) -> str:
         """As over a bad line: noise between words, and one broken in two."""
-        noise = self._r.choice((("[crackle]", "[hiss]"), ("*static*", "*static*"), ("krrk", "kshh"), ("(noise)", "..."),
-                                ("bzzt", "bzzt"), ("...", "...")))
+        noise = self._r.choice(
+            (
+                ("[crackle]", "[hiss]"),
+                ("*static*", "*static*"),
+                ("krrk", "kshh"),
+                ("(noise)", "..."),
+                ("bzzt", "bzzt"),
+                ("...", "..."),
+            )
+        )
         at = self._r.randrange(len(words))
         word = words[at]
         if len(word) > 4 and word.isalpha():
@@ -134,8 +150,33 @@ def _misspellings(lines: list[str]) -> dict[str, list[str]]:
 
 
 _NO_ACCENTS = str.maketrans("àáâãäåçèéêëìíîïñòóôõöùúûü", "aaaaaaceeeeiiiinooooouuuu")
-_KEYS = {c: (row[max(i - 1, 0)] + row[min(i + 1, len(row) - 1)]).replace(c, "") or "e"
-         for row in ("qwertyuiop", "asdfghjkl", "zxcvbnm") for i, c in enumerate(row)}
-_SOUNDS = (("ck", "k"), ("ce", "se"), ("ee", "ea"), ("ea", "ee"), ("ss", "s"), ("ll", "l"), ("ght", "te"), ("ph", "f"),
-           ("er", "a"), ("ing", "in"), ("th", "d"), ("wh", "w"), ("cc", "k"), ("oo", "u"), ("ai", "ay"), ("ke", "k"),
-           ("ed", "t"), ("ou", "ow"), ("tt", "t"), ("le", "el"), ("s", "z"), ("c", "k"), ("e", ""))
+_KEYS = {
+    c: (row[max(i - 1, 0)] + row[min(i + 1, len(row) - 1)]).replace(c, "") or "e"
+    for row in ("qwertyuiop", "asdfghjkl", "zxcvbnm")
+    for i, c in enumerate(row)
+}
+_SOUNDS = (
+    ("ck", "k"),
+    ("ce", "se"),
+    ("ee", "ea"),
+    ("ea", "ee"),
+    ("ss", "s"),
+    ("ll", "l"),
+    ("ght", "te"),
+    ("ph", "f"),
+    ("er", "a"),
+    ("ing", "in"),
+    ("th", "d"),
+    ("wh", "w"),
+    ("cc", "k"),
+    ("oo", "u"),
+    ("ai", "ay"),
+    ("ke", "k"),
+    ("ed", "t"),
+    ("ou", "ow"),
+    ("tt", "t"),
+    ("le", "el"),
+    ("s", "z"),
+    ("c", "k"),
+    ("e", ""),
+)

@@ -28,16 +28,22 @@ from tokenizers import Tokenizer
 from torch import Tensor, nn
 from torch.nn import functional
 
-from slow_node.embedding import DELTA, MAX_TOKENS, WEIGHTS_PACKAGE, package_file
 from slow_node.evaluation.score import exam_texts, plain_text
-from slow_node.numbers import in_digits
-from slow_node.reader import BUCKETS, HEADS, grams
+from slow_node.llm.embedding import DELTA, MAX_TOKENS, WEIGHTS_PACKAGE, package_file
 from slow_node.training.generate import Generator, Sample, Stock, load_stock
+from slow_node.understanding.numbers import in_digits
+from slow_node.understanding.reader import BUCKETS, HEADS, grams
 
 RANK, HIDDEN = 16, 96
 SLICES = {name: len(classes) for name, classes in HEADS.items()}
-TARGETS = ("attention.self.query", "attention.self.key", "attention.self.value", "attention.output.dense",
-           "intermediate.dense", "output.dense")
+TARGETS = (
+    "attention.self.query",
+    "attention.self.key",
+    "attention.self.value",
+    "attention.output.dense",
+    "intermediate.dense",
+    "output.dense",
+)
 BATCH = 48
 LEARNING_RATE = 1.2e-3
 RESTARTS = 2
@@ -50,7 +56,10 @@ class Encoder(nn.Module):
         super().__init__()
         config = json.loads((folder / "config.json").read_text())
         self.layers, self.heads, self.eps = (
-            config["num_hidden_layers"], config["num_attention_heads"], config["layer_norm_eps"])
+            config["num_hidden_layers"],
+            config["num_attention_heads"],
+            config["layer_norm_eps"],
+        )
         self.w: dict[str, Tensor] = load_file(folder / "model.safetensors")
         self.delta = nn.ParameterDict()
         for layer in range(self.layers):
@@ -71,14 +80,19 @@ class Encoder(nn.Module):
     def forward(self, ids: Tensor, mask: Tensor) -> Tensor:
         """(B, T) token ids and their mask to (B, 768): mean and maximum over each sentence's tokens."""
         w = self.w
-        x = (w["embeddings.word_embeddings.weight"][ids] + w["embeddings.position_embeddings.weight"][: ids.shape[1]]
-             + w["embeddings.token_type_embeddings.weight"][0])
+        x = (
+            w["embeddings.word_embeddings.weight"][ids]
+            + w["embeddings.position_embeddings.weight"][: ids.shape[1]]
+            + w["embeddings.token_type_embeddings.weight"][0]
+        )
         x = self._norm(x, "embeddings.LayerNorm")
         batch, tokens, width = x.shape
         for layer in range(self.layers):
             at = f"encoder.layer.{layer}"
-            q, k, v = (self._linear(x, f"{at}.attention.self.{n}").view(batch, tokens, self.heads, -1).transpose(1, 2)
-                       for n in ("query", "key", "value"))
+            q, k, v = (
+                self._linear(x, f"{at}.attention.self.{n}").view(batch, tokens, self.heads, -1).transpose(1, 2)
+                for n in ("query", "key", "value")
+            )
             y = functional.scaled_dot_product_attention(q, k, v, attn_mask=mask[:, None, None, :])
             y = y.transpose(1, 2).reshape(batch, tokens, width)
             x = self._norm(x + self._linear(y, f"{at}.attention.output.dense"), f"{at}.attention.output.LayerNorm")
@@ -128,13 +142,17 @@ class Data:
         samples = [s for s in samples if plain_text(s.text) not in exam]
         self.samples = samples
         texts = [in_digits(s.text) for s in samples]
-        self.ids = ([torch.tensor(e.ids) for e in tokenizer.encode_batch(texts)] if tokenizer
-                    else [torch.zeros(1, dtype=torch.long)] * len(texts))
+        self.ids = (
+            [torch.tensor(e.ids) for e in tokenizer.encode_batch(texts)]
+            if tokenizer
+            else [torch.zeros(1, dtype=torch.long)] * len(texts)
+        )
         self.grams = [torch.from_numpy(grams(text)) for text in texts]
         self.labels = torch.tensor([[HEADS[h].index(s.label[h]) for h in HEADS] for s in samples])
 
-    def batches(self, r: random.Random | None, batch: int = BATCH) -> Iterator[tuple[list[int], Tensor, Tensor,
-        Tensor, Tensor, Tensor]]:
+    def batches(
+        self, r: random.Random | None, batch: int = BATCH
+    ) -> Iterator[tuple[list[int], Tensor, Tensor, Tensor, Tensor, Tensor]]:
         """Indices, ids, mask, buckets, offsets, labels; shuffled by `r`."""
         order = list(range(len(self.samples)))
         if r:
@@ -166,8 +184,10 @@ def loss_of(logits: dict[str, Tensor], labels: Tensor) -> Tensor:
 def split(stock: Stock) -> tuple[Stock, Stock]:
     """The stock without, and with only, the twentieth of its frames that is held out: always the same ones."""
     chosen = {id(f) for f in stock.frames if zlib.crc32(f.text.encode()) % 20 == 0}
-    return (Stock([f for f in stock.frames if id(f) not in chosen], stock.words),
-            Stock([f for f in stock.frames if id(f) in chosen], stock.words))
+    return (
+        Stock([f for f in stock.frames if id(f) not in chosen], stock.words),
+        Stock([f for f in stock.frames if id(f) in chosen], stock.words),
+    )
 
 
 def evaluate(network: Network, data: Data, dense: float = 1.0) -> tuple[dict[str, Tensor], Tensor]:
@@ -204,8 +224,9 @@ def temperatures(logits: dict[str, Tensor], labels: Tensor) -> dict[str, float]:
     return found
 
 
-def learn_spelling(network: Network, data: Data, seed: int, epochs: int = 5, rate: float = 4e-3,
-                   batch: int = 256) -> None:
+def learn_spelling(
+    network: Network, data: Data, seed: int, epochs: int = 5, rate: float = 4e-3, batch: int = 256
+) -> None:
     """The n-grams alone, on many more commands than the encoder has time for."""
     parts = [*network.sparse.parameters(), *network.top.parameters(), network.sparse_bias]
     optimiser = torch.optim.Adam(parts, lr=rate)
@@ -233,14 +254,20 @@ def restore(network: Network, folder: Path) -> None:
         network.sparse_bias.copy_(tensors["sparse.bias"].float())
 
 
-def learn(network: Network, stock: Stock, tokenizer: Tokenizer, size: int, epochs: int, seed: int, rate: float,
-          check: Data) -> None:
+def learn(
+    network: Network, stock: Stock, tokenizer: Tokenizer, size: int, epochs: int, seed: int, rate: float, check: Data
+) -> None:
     """Encoder, n-grams and heads together, on new commands in every epoch; the rates fall along half a cosine."""
     # The n-grams know what they can know by now, and are dropped at times: they must not do the encoder's work.
-    groups = [{"params": network.encoder.delta.parameters(), "weight_decay": 0.01},
-              {"params": network.dense.parameters(), "weight_decay": 0.01},
-              {"params": [*network.sparse.parameters(), *network.top.parameters(), network.sparse_bias],
-               "weight_decay": 0.0, "lr": 3e-4}]
+    groups = [
+        {"params": network.encoder.delta.parameters(), "weight_decay": 0.01},
+        {"params": network.dense.parameters(), "weight_decay": 0.01},
+        {
+            "params": [*network.sparse.parameters(), *network.top.parameters(), network.sparse_bias],
+            "weight_decay": 0.0,
+            "lr": 3e-4,
+        },
+    ]
     optimiser = torch.optim.AdamW(groups, lr=rate)
     rates = [group["lr"] for group in optimiser.param_groups]
     r = random.Random(seed)
@@ -313,8 +340,10 @@ def save(network: Network, out: Path, check: Data, settings: dict[str, int]) -> 
     logits, labels = evaluate(network, check)
     scale = temperatures(logits, labels)
     figures = {"held_out": float(len(labels)), "held_out_exact": exact(logits, labels)}
-    figures |= {f"accuracy_{name}": float((v.argmax(1) == labels[:, c]).float().mean())
-                for c, (name, v) in enumerate(logits.items())}
+    figures |= {
+        f"accuracy_{name}": float((v.argmax(1) == labels[:, c]).float().mean())
+        for c, (name, v) in enumerate(logits.items())
+    }
     tensors = {key.replace("/", "."): value.detach().numpy() for key, value in network.encoder.delta.items()}
     divisor = torch.cat([torch.full((n,), scale[name]) for name, n in SLICES.items()])
     tensors["dense.weight"] = (network.dense.weight / divisor[:, None]).detach().numpy()
@@ -324,8 +353,14 @@ def save(network: Network, out: Path, check: Data, settings: dict[str, int]) -> 
     tensors["sparse.bias"] = network.sparse_bias.detach().numpy()
     out.mkdir(parents=True, exist_ok=True)
     save_file({k: np.ascontiguousarray(v, np.float16) for k, v in tensors.items()}, out / DELTA.name)
-    sidecar = {"base": "all-MiniLM-L6-v2", "rank": RANK, "heads": HEADS, "buckets": BUCKETS, "settings": settings,
-               "figures": figures}
+    sidecar = {
+        "base": "all-MiniLM-L6-v2",
+        "rank": RANK,
+        "heads": HEADS,
+        "buckets": BUCKETS,
+        "settings": settings,
+        "figures": figures,
+    }
     (out / DELTA.name).with_suffix(".json").write_text(json.dumps(sidecar, indent=1) + "\n")
 
 

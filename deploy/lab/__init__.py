@@ -1,0 +1,1 @@
+"""Experiments in lock-step: training, evaluation, studies."""

@@ -1,0 +1,139 @@
+"""The same nodes without processes or wall clock: reproducible episodes for evaluation and tests."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from fast_node.config import FastConfig
+from fast_node.node import FastNode
+from fast_node.policies.attention import Policy, load_policy
+from schemas.runtime.bus import LocalBus
+from schemas.runtime.clock import NS
+from schemas.wire import topics
+from schemas.wire.messages import Directive, Event, Observation
+from sim_node.config import SimConfig
+from sim_node.node import SimNode
+
+HZ = 15
+Ask = Callable[[Observation, int], Directive | None]
+"""Called at every tick with the observation and the time [ns]; returns a new directive or None."""
+
+
+@dataclass
+class Episode:
+    """What happened in one lock-step episode; times in seconds since its start."""
+
+    seed: int
+    collided: bool = False
+    passed: bool = False
+    fulfilled_s: float | None = None
+    min_ttc_s: float = float("inf")
+    seconds: float = 0.0
+    speeds: list[float] = field(default_factory=list)
+    lanes: list[int] = field(default_factory=list)
+    accelerations: list[float] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+    overridden: int = 0
+    """Ticks in which the mask decided against the policy."""
+
+
+def overtake_at(at_s: float, ttl_s: float = 120.0) -> Ask:
+    """A passenger in a hurry, without a language model: one overtake directive at `at_s`."""
+
+    def ask(observation: Observation, now_ns: int) -> Directive | None:
+        if observation.tick != round(at_s * HZ):
+            return None
+        return Directive(
+            epoch=observation.epoch,
+            stamp_ns=now_ns,
+            id=1,
+            command_id=1,
+            scene_tick=observation.tick,
+            manoeuvre="overtake",
+            target_speed_mps=8.0,
+            style="assertive",
+            ttl_s=ttl_s,
+        )
+
+    return ask
+
+
+def run_episode(seed: int, policy: Policy, ask: Ask, *, duration_s: float = 60.0, scenario: str = "two-way") -> Episode:
+    """Drive one episode; the messages are encoded and decoded as on the real bus."""
+    bus = LocalBus()
+    observations, actions = bus.subscribe(topics.OBSERVATION), bus.subscribe(topics.ACTION)
+    directives = bus.subscribe(topics.DIRECTIVE)
+    sim, fast = SimNode(SimConfig(scenario=scenario, seed=seed)), FastNode(FastConfig(), policy, policy.preset)
+    episode = Episode(seed)
+    sim.reset(1)
+    bus.publish(topics.OBSERVATION, sim.observation(0))
+    for k in range(round(duration_s * HZ)):
+        now_ns = k * NS // HZ
+        seen = observations.wait()
+        if (directive := ask(seen, now_ns)) is not None:
+            bus.publish(topics.DIRECTIVE, directive)
+        action, events = fast.step(seen, directives.peek(), now_ns)
+        bus.publish(topics.ACTION, action)
+        episode.events += events
+        episode.overridden += action.source == "masked"
+        if episode.fulfilled_s is None and any(e.kind == "fulfilled" for e in events):
+            episode.fulfilled_s = k / HZ
+        bus.publish(topics.OBSERVATION, sim.step(actions.wait(), now_ns + NS // HZ))
+        episode.speeds.append(sim.speed_mps)
+        episode.lanes.append(sim.lane)
+        episode.accelerations.append(seen.acceleration_mps2)
+        if sim.over:
+            break
+    episode.seconds = len(episode.speeds) / HZ
+    episode.collided = sim.metrics.collisions > 0
+    episode.passed = sim.metrics.passed > 0
+    episode.min_ttc_s = sim.metrics.min_ttc_s
+    return episode
+
+
+def draw(episode: Episode, told_s: float, path: Path) -> None:
+    """Speed and lane over time on a two-way road, with what became of a directive given at `told_s`."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    time_s = [k / HZ for k in range(len(episode.speeds))]
+    figure, (speed, lane) = plt.subplots(2, 1, sharex=True, figsize=(10, 4.6), height_ratios=(2, 1))
+    speed.plot(time_s, episode.speeds)
+    lane.step(time_s, episode.lanes, color="tab:green", where="post")
+    marks = [(told_s, "told to overtake", "black")]
+    for event in episode.events:
+        if event.kind == "overridden" and event.duration_s > 0:
+            marks.append((event.tick / HZ, f"delayed {event.duration_s:.0f} s: {event.rule}", "tab:red"))
+        elif event.kind == "fulfilled":
+            marks.append((event.tick / HZ, "fulfilled", "tab:green"))
+    for row, (at_s, text, colour) in enumerate(marks):
+        speed.text(at_s + 0.2, 0.4 + 0.9 * row, text, color=colour, fontsize="small")
+        for axis in (speed, lane):
+            axis.axvline(at_s, color=colour, linestyle=":", linewidth=1)
+    for axis in (speed, lane):
+        axis.fill_between(
+            time_s,
+            0,
+            1,
+            where=[n == 0 for n in episode.lanes],
+            transform=axis.get_xaxis_transform(),
+            color="tab:orange",
+            alpha=0.2,
+            linewidth=0,
+        )
+        axis.grid(alpha=0.3)
+    speed.set(ylabel="speed [m/s]", ylim=(0, 9), title=f"two-way, seed {episode.seed}, lock-step")
+    lane.set(xlabel="time [s]", yticks=(0, 1), yticklabels=("oncoming", "own"))
+    lane.invert_yaxis()
+    figure.tight_layout()
+    figure.savefig(path, dpi=100)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    draw(run_episode(1000, load_policy(), overtake_at(3.0)), 3.0, Path(sys.argv[1]))

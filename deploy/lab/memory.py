@@ -1,0 +1,160 @@
+"""`fastslow memory`: look into the memory bank, and edit it."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from slow_node.memory.bank import Example, Memory
+
+app = typer.Typer(
+    name="memory", help="Look into what the car remembers, and edit it.", no_args_is_help=True, rich_markup_mode=None
+)
+
+Bank = Annotated[Path | None, typer.Option(help="The bank's SQLite file.", show_default="the one that runs use")]
+Json = Annotated[bool, typer.Option("--json", help="Data as JSON on stdout.")]
+
+
+@contextmanager
+def _bank(path: Path | None) -> Iterator[Memory]:
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads
+    from deploy.run.processes import data_folder
+    from schemas.runtime.process import CONFIG, ConfigError
+    from slow_node.llm.embedding import load_embedder
+    from slow_node.memory.bank import Memory
+
+    path = path or data_folder() / "memory.sqlite"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        memory = Memory(load_embedder(), str(path))
+    except (OSError, ConfigError) as error:
+        typer.echo(f"fastslow: {error}", err=True)
+        raise typer.Exit(CONFIG) from None
+    try:
+        yield memory
+    finally:
+        memory.close()
+
+
+def _row(example: Example) -> dict[str, Any]:
+    from slow_node.memory.bank import Row
+
+    return {**Row.of(example).model_dump(), "slots": json.loads(example.slots.compact())}
+
+
+def _seconds(value: float | None) -> str:
+    return "     -" if value is None else f"{value:>4} s"
+
+
+@app.command("list")
+def list_(
+    bank: Bank = None,
+    as_json: Json = False,
+    seeds: Annotated[bool, typer.Option("--seeds", help="What was shipped as well.")] = False,
+) -> None:
+    """What was learnt on the road.
+
+    A line is: id, how often fulfilled, last outcome, its time, smallest time to collision, command, decision.
+    """
+    with _bank(bank) as memory:
+        rows = [_row(e) for e in memory.examples() if seeds or not e.seed]
+    if as_json:
+        typer.echo(json.dumps(rows, ensure_ascii=False))
+        return
+    for row in rows:
+        times = f"{row['fulfilled']}/{row['fulfilled'] + row['failed']}"
+        typer.echo(
+            f"{row['id']:>5}  {times:>5}  {row['outcome']:<12} {row['took_s']:>6} s  "
+            f"TTC {_seconds(row['min_ttc_s'])}  {row['command']}  {row['slots']}"
+        )
+    typer.echo(f"{len(rows)} examples", err=True)
+
+
+@app.command()
+def show(
+    command: Annotated[str, typer.Argument(help="A command.")],
+    k: Annotated[int, typer.Option(min=1)] = 4,
+    bank: Bank = None,
+) -> None:
+    """What the car would recall for a command, nearest first, as JSON lines."""
+    with _bank(bank) as memory:
+        for example in memory.nearest(command, k):
+            typer.echo(json.dumps({"cosine": round(example.cosine, 3), **_row(example)}, ensure_ascii=False))
+
+
+@app.command()
+def forget(
+    identity: Annotated[int, typer.Argument(metavar="ID", help="As `list` shows it.")], bank: Bank = None
+) -> None:
+    """Remove one example. A shipped one comes back with the next start."""
+    with _bank(bank) as memory:
+        gone = memory.forget(identity)
+    if not gone:
+        typer.echo(f"fastslow: there is no example {identity}; see: fastslow memory list --seeds", err=True)
+        raise typer.Exit(1)
+
+
+@app.command()
+def export(target: Annotated[str, typer.Argument(help='A file, or "-".')] = "-", bank: Bank = None) -> None:
+    """Write what was learnt as JSON lines."""
+    with _bank(bank) as memory:
+        lines = "".join(json.dumps(_row(e), ensure_ascii=False) + "\n" for e in memory.examples() if not e.seed)
+    if target == "-":
+        sys.stdout.write(lines)
+    else:
+        with _usable(target):
+            Path(target).write_text(lines, "utf-8")
+
+
+@app.command("import")
+def import_(
+    source: Annotated[str, typer.Argument(help='JSON lines as `export` writes them, or "-".')], bank: Bank = None
+) -> None:
+    """Learn examples from a file; what the bank knows already is merged. Nothing is kept unless every line is good."""
+    from slow_node.memory.bank import Row
+
+    with _usable(source):
+        text = sys.stdin.read() if source == "-" else Path(source).read_text("utf-8")
+    examples = []
+    for number, line in enumerate(text.split("\n"), 1):  # not splitlines: a command may hold U+2028
+        if not line.strip():
+            continue
+        try:
+            examples.append(Row.model_validate_json(line).learnt())
+        except ValueError as error:
+            raise _wrong(f"line {number}: {_reason(error)}") from None
+    with _bank(bank) as memory:
+        stored = memory.add(examples)
+    typer.echo(f"{stored} examples imported from {len(examples)} lines", err=True)
+
+
+def _reason(error: ValueError) -> str:
+    """One line: of pydantic's several, the first field and what is wrong with it."""
+    from pydantic import ValidationError
+
+    if not isinstance(error, ValidationError):
+        return str(error)
+    first = error.errors()[0]
+    return ": ".join(filter(None, [".".join(map(str, first["loc"])), first["msg"]]))
+
+
+def _wrong(why: str) -> typer.Exit:
+    typer.echo(f"fastslow: {why}", err=True)
+    return typer.Exit(2)
+
+
+@contextmanager
+def _usable(file: str) -> Iterator[None]:
+    """A file that cannot be read or written is the caller's mistake: one line and exit code 2."""
+    try:
+        yield
+    except (OSError, UnicodeDecodeError) as error:
+        raise _wrong(f"{file}: {getattr(error, 'strerror', None) or 'this is no UTF-8 text'}") from None

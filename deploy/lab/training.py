@@ -1,0 +1,163 @@
+"""`fastslow train`: puts the batched worlds of the simulator and the learner of the fast system together."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from deploy.lab.evaluate import directed, overtake_on, task_of
+from fast_node.mask import PRESETS
+from fast_node.policies.mlp import BASELINES
+from fast_node.training.rollout import Mixed, Scenes
+from sim_node.engine.batched import Batched
+from sim_node.scenarios import SCENARIOS, Scenario
+
+SCENES = 64
+"""In all; shared among the scenarios."""
+BASELINE_SCENES = {"ppo": 64, "a2c": 16, "dqn": 16}
+"""The same for each baseline."""
+
+
+class HurriedScenes(Scenes):
+    """Scenes whose passenger is in a hurry all along, and wishes to overtake one car after the other."""
+
+    def _direct(self, which: NDArray[np.bool_]) -> None:
+        super()._direct(which & (self.age == 0))
+
+    def decide(self, action: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_]]:
+        result = super().decide(action)
+        if (self.pass_id >= 0).any():
+            overtake_on(self)
+            self.look()
+        return result
+
+
+def scenes_of(
+    scenario: Scenario,
+    scenes: int,
+    world_seed: int,
+    wish_seed: int,
+    *,
+    hurried: bool = False,
+    masked: bool = True,
+    obeyed: bool | None = None,
+    preset: str = "sim",
+) -> Scenes:
+    """Scenes to learn or to be measured in: with random directives, or in a hurry; behind the mask, or not; where a
+    wish closes what is against it (as the mask does, by default), or not."""
+    task = task_of(scenario, preset)
+    if not hurried:
+        return Scenes(Batched(scenario, scenes, world_seed), task, wish_seed, masked=masked, obeyed=obeyed)
+    task = replace(task, draw=partial(directed, "hurry", scenario))
+    return HurriedScenes(Batched(scenario, scenes, world_seed), task, wish_seed, masked=masked, obeyed=obeyed)
+
+
+def mixed_scenes(
+    scenarios: Sequence[str],
+    seed: int,
+    *,
+    scenes: int = SCENES,
+    after: int = 0,
+    hurried: bool = False,
+    masked: bool = True,
+    obeyed: bool | None = None,
+    preset: str = "sim",
+) -> Mixed:
+    """What a run with this seed learns in; `after` so many decisions it has other worlds than before.
+
+    Raises ValueError for an unknown scenario or preset of the mask.
+    """
+    if preset not in PRESETS:
+        raise ValueError(f"{preset}: choose from {', '.join(PRESETS)}")
+    unknown = sorted(set(scenarios) - set(SCENARIOS))
+    if unknown:
+        raise ValueError(f"{', '.join(unknown)}: choose from {', '.join(SCENARIOS)}")
+    each, fresh = max(scenes // len(scenarios), 1), 10**8 * after
+    return Mixed(
+        [
+            scenes_of(
+                SCENARIOS[name],
+                each,
+                10_000_000 + 1000 * seed + k + fresh,
+                1000 * seed + k + fresh,
+                hurried=hurried,
+                masked=masked,
+                obeyed=obeyed,
+                preset=preset,
+            )
+            for k, name in enumerate(scenarios)
+        ]
+    )
+
+
+def train_baseline(
+    algorithm: str, out: Path, scenarios: Sequence[str], steps: int, seed: int, *, bare: bool = False
+) -> dict[str, float]:
+    """Train "ppo", "dqn" or "a2c" in the place of our policy; `bare`: without mask and directive, always in a hurry.
+
+    Raises ImportError without extra `baselines`, ValueError for an unknown algorithm or scenario.
+    """
+    if algorithm not in BASELINES:
+        raise ValueError(f"{algorithm}: choose from ours, {', '.join(BASELINES)}")
+    from fast_node.training.baselines import learn
+
+    scenes = mixed_scenes(scenarios, seed, scenes=BASELINE_SCENES[algorithm], hurried=bare, masked=not bare)
+    with _progress_bar() as bar:
+        task = bar.add_task(f"{algorithm} learning", total=steps)
+        return learn(
+            algorithm,
+            scenes,
+            out,
+            variant="bare" if bare else "masked",
+            steps=steps,
+            seed=seed,
+            watch=lambda done, _: bar.update(task, completed=done),
+        )
+
+
+def _progress_bar() -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(file=sys.stderr))
+
+
+def train_policy(
+    out: Path,
+    scenarios: Sequence[str],
+    steps: int,
+    seed: int,
+    *,
+    lr: float | None = None,
+    resume: bool = False,
+    start: Path | None = None,
+    preset: str = "sim",
+) -> dict[str, float]:
+    """Train one policy on these scenarios and export it, with a progress bar on stderr.
+
+    lr: the learning rate that falls to a tenth, by default the paper's. `resume` goes on where an interrupted run to
+    the same `out` was last saved, in new worlds; `start` begins with the network of another run. Raises ImportError
+    without extra `train`, ValueError for an unknown scenario or preset, `ConfigError` where there is nothing to go on
+    from.
+    """
+    from fast_node.training.learner import LearnerConfig
+    from fast_node.training.train import saved_state, train
+
+    config = LearnerConfig() if lr is None else LearnerConfig(lr=lr)
+    begin = None if start is None else saved_state(start)
+    after = saved_state(out)["steps"] if resume else 0
+    scenes = mixed_scenes(scenarios, seed, after=after, preset=preset)
+    with _progress_bar() as bar:
+        task = bar.add_task("learning", total=steps, completed=after)
+
+        def progress(done: int, figures: dict[str, float]) -> None:
+            text = f"return {figures['episodic_return']:.2f} crashes {figures['crash_rate']:.1%}"
+            bar.update(task, completed=done, description=text)
+
+        return train(scenes, out, steps=steps, seed=seed, progress=progress, config=config, resume=resume, start=begin)

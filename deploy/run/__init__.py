@@ -1,0 +1,1 @@
+"""The running system: processes, supervisor, what people see of it."""

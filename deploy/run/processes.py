@@ -1,0 +1,211 @@
+"""The declared process table: what runs, with what configuration, and what its failure means."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from schemas.runtime.realtime import Mode
+
+TCP_HOST = "127.0.0.1"
+DEFAULT_PORT = 7447
+NAMES = ("sim", "fast", "slow", "llm")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Process:
+    """One row of the table: a child of the supervisor."""
+
+    name: str
+    argv: tuple[str, ...]
+    critical: bool
+    """Too many restarts of a critical process end the run; without another one the run goes on, degraded."""
+    needs: tuple[str, ...] = ()
+    """Started once these are ready, or after `NEEDS_WAIT_S`, whichever comes first."""
+    heartbeat_s: float = 2.0
+    """Once ready, a longer silence means that it hangs."""
+    start_s: float = 30.0
+    """The longest silence before the first heartbeat."""
+    probe_url: str = ""
+    """Where set, an HTTP 200 from here is this process's heartbeat, since it speaks no zenoh."""
+    finishes: bool = False
+    """Its exit with code 0 is the end of the run, not a failure."""
+    nice: int = 0
+
+
+NEEDS_WAIT_S = 3.0
+SHUTDOWN_ORDER = ("slow", "fast", "sim", "llm")
+"""Who thinks stops first; the car is driven until the road itself ends."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """The language model behind the slow node."""
+
+    base_url: str
+    name: str
+    embedded: bool
+    port: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """What the passenger may choose about a run."""
+
+    scenario: str = "two-way"
+    seed: int = 0
+    density: float = 1.0
+    noise_m: float = 0.0
+    noise_mps: float = 0.0
+    dropout: float = 0.0
+    """Traffic density and perception, as `sim_node.config.SimConfig` has them."""
+    duration_s: float | None = None
+    port: int = DEFAULT_PORT
+    say: str | None = None
+    say_at_s: float = 3.0
+    as_json: bool = False
+    without: tuple[str, ...] = ()
+    realtime: Mode = "auto"
+    checkpoint: Path | None = None
+    """The policy that drives; None: the shipped one."""
+    trace: Path | None = None
+    """A folder for the stamps of every tick of sim and fast."""
+
+
+def free_port() -> int:
+    """A loopback TCP port that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind((TCP_HOST, 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def choose_model() -> Model:
+    """The endpoint that the environment names, or else the embedded model on a free loopback port."""
+    if os.environ.get("OPENAI_API_KEY"):
+        return Model(
+            base_url=os.environ.get("OPENAI_BASE_URL") or "https://api.openai.com/v1",
+            name=os.environ.get("OPENAI_MODEL") or "gpt-4o-mini",
+            embedded=False,
+        )
+    port = free_port()
+    return Model(base_url=f"http://{TCP_HOST}:{port}/v1", name="SmolLM2-135M-Instruct", embedded=True, port=port)
+
+
+def data_folder() -> Path:
+    """Where what outlives a run is kept: `FASTSLOW_DATA`, or the platform's data folder."""
+    chosen = os.environ.get("FASTSLOW_DATA")
+    if chosen:
+        return Path(chosen)
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Application Support" / "fastslow"
+    base = os.environ.get("XDG_DATA_HOME")
+    return (Path(base) if base else Path.home() / ".local" / "share") / "fastslow"
+
+
+def router_endpoints(sockets: Path, port: int) -> tuple[str, ...]:
+    """Where the supervisor's session listens: TCP loopback for users, a Unix socket for our nodes."""
+    return f"tcp/{TCP_HOST}:{port}", _socket(sockets, "bus")
+
+
+def _socket(sockets: Path, name: str) -> str:
+    return f"unixsock-stream/{sockets / name}.sock"
+
+
+def _node(module: str, config: dict[str, object]) -> tuple[str, ...]:
+    return sys.executable, "-m", module, json.dumps(config)
+
+
+def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Process, ...]:
+    """The table of one run, in the order in which the processes are started."""
+
+    def bus(name: str, *others: str) -> dict[str, object]:
+        return {
+            "mode": "peer",
+            "listen": [_socket(sockets, name)],
+            "connect": [_socket(sockets, other) for other in ("bus", *others)],
+            # The router and slow hear strangers, whose messages may be long. Their links to these two stay ordinary.
+            "low_latency": name in ("sim", "fast"),
+        }
+
+    def critical(name: str, *others: str) -> dict[str, object]:
+        return {
+            "bus": bus(name, *others),
+            "realtime": options.realtime,
+            "trace": str((options.trace / f"{name}.trace").absolute()) if options.trace else "",
+        }
+
+    sim: dict[str, object] = {
+        **critical("sim", "fast"),
+        "scenario": options.scenario,
+        "seed": options.seed,
+        "density": options.density,
+        "noise_m": options.noise_m,
+        "noise_mps": options.noise_mps,
+        "dropout": options.dropout,
+    }
+    fast = critical("fast")
+    if options.checkpoint is not None:
+        fast["policy"] = str(options.checkpoint.absolute())
+    if options.duration_s is not None:
+        sim["duration_s"] = options.duration_s
+    slow: dict[str, object] = {
+        "bus": bus("slow", "sim", "fast"),
+        "base_url": model.base_url,
+        "model": model.name,
+        "api_key_env": "" if model.embedded else "OPENAI_API_KEY",
+        "embedded": model.embedded,
+        "memory_path": str(data_folder() / "memory.sqlite"),
+    }
+    table = [
+        Process(name="fast", argv=_node("fast_node", fast), critical=True),
+        # The road begins once somebody is there to answer its first tick; hence it is the simulator that links to the
+        # fast node, whose socket is there already, and not the other way round, after a retry.
+        Process(
+            name="sim", argv=_node("sim_node", sim), critical=True, needs=("fast",), finishes=True, start_s=120.0
+        ),  # where nothing is compiled yet, on a busy machine
+        Process(name="slow", argv=_node("slow_node", slow), critical=False),
+    ]
+    if model.embedded:
+        table.insert(
+            0,
+            Process(
+                name="llm",
+                argv=_node("slow_node.llm.embedded", {"port": model.port, "threads": 1}),
+                critical=False,
+                probe_url=f"http://{TCP_HOST}:{model.port}/health",
+                # Its HTTP thread shares the processor with the inference, at a low priority: slow is not dead.
+                heartbeat_s=10.0,
+                start_s=120.0,
+                nice=10,
+            ),
+        )
+    return tuple(process for process in table if process.name not in options.without)
+
+
+def listener_of(port: int) -> str | None:
+    """Who listens on a TCP port of this host, as `PID (command line)`; None if that cannot be found out."""
+    inodes = set()
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        try:
+            rows = Path(table).read_text().splitlines()[1:]
+        except OSError:
+            continue
+        for row in rows:
+            columns = row.split()
+            if columns[3] == "0A" and int(columns[1].rpartition(":")[2], 16) == port:
+                inodes.add(f"socket:[{columns[9]}]")
+    if not inodes:
+        return None
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if any(os.readlink(fd) in inodes for fd in (process / "fd").iterdir()):
+                command = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
+                return f"process {process.name} ({command[:120]})"
+        except OSError:  # it has ended meanwhile, or is somebody else's
+            continue
+    return None

@@ -1,0 +1,94 @@
+"""What a person sees of a run: one line a second, and one line for everything that happens to a command."""
+
+from __future__ import annotations
+
+from schemas.runtime.clock import NS
+from schemas.wire.messages import Action, Directive, Event, Observation, Reply, Status
+
+_OVER = ("fulfilled", "expired", "superseded", "cancelled", "failed")
+_BY_REPLY = (*_OVER, "issued")
+"""What a reply tells already, in better words than the event that goes with it."""
+
+
+class Live:
+    """Keeps the newest of everything and words it."""
+
+    def __init__(self) -> None:
+        self._observation: Observation | None = None
+        self._action: Action | None = None
+        self._directive: Directive | None = None
+        self._figures: dict[str, float] = {}
+
+    def observation(self, observation: Observation) -> None:
+        self._observation = observation
+
+    def action(self, action: Action) -> None:
+        self._action = action
+
+    def directive(self, directive: Directive) -> None:
+        self._directive = directive
+
+    def status(self, status: Status) -> None:
+        if status.node == "sim":
+            self._figures = status.figures
+
+    def reply(self, reply: Reply) -> str:
+        """The line for a reply."""
+        self._over(reply.outcome, reply.directive_id)
+        said = f': "{reply.say}"' if reply.say else ""
+        why = f" ({reply.why})" if reply.why else ""
+        return f'  {reply.outcome:<10} "{_short(reply.text)}"{said}{why}'
+
+    def event(self, event: Event) -> str | None:
+        """The line for an event; None for one that a reply tells as well."""
+        self._over(event.kind, event.directive_id)
+        if event.kind in _BY_REPLY and event.command_id is not None:
+            return None
+        parts = [f"tick {event.tick}"]
+        if event.rule:
+            parts.append(event.rule)
+        if event.vehicle >= 0:
+            parts.append(f"vehicle {event.vehicle}")
+        if event.duration_s:
+            parts.append(f"for {event.duration_s:.1f} s")
+        detail = f" — {event.detail}" if event.detail else ""
+        return f"  {event.kind:<10} {', '.join(parts)}{detail}"
+
+    def _over(self, what: str, directive_id: int | None) -> None:
+        if what in _OVER and self._directive is not None and self._directive.id == directive_id:
+            self._directive = None
+
+    def line(self, now_ns: int, waiting_for: str = "") -> str:
+        """The line of this second."""
+        seen = self._observation
+        if seen is None:
+            return f"starting{f': waiting for {waiting_for}' if waiting_for else ''}"
+        figures = self._figures
+        return " | ".join(
+            (
+                f"tick {seen.tick:>5} {seen.scenario}",
+                f"{figures.get('speed_mps', 0.0):4.1f} m/s lane {figures.get('lane', 0):.0f}",
+                self._intent(now_ns, seen.epoch),
+                f"by {self._action.source if self._action else 'nobody'}",
+                f"rtt {figures.get('rtt_p50_us', 0.0) / 1e3:.1f}/{figures.get('rtt_p99_us', 0.0) / 1e3:.1f} ms",
+                f"missed {figures.get('missed', 0):.0f}",
+            )
+        )
+
+    def _intent(self, now_ns: int, epoch: int) -> str:
+        directive = self._directive
+        if directive is None or directive.epoch != epoch:
+            return "no directive"
+        left_s = directive.ttl_s - (now_ns - directive.stamp_ns) / NS
+        if left_s <= 0:
+            return "no directive"
+        wishes: list[str] = [directive.manoeuvre]
+        if directive.target_lane is not None:
+            wishes.append(f"lane {directive.target_lane}")
+        if directive.target_speed_mps is not None:
+            wishes.append(f"{directive.target_speed_mps:.0f} m/s")
+        return f"{' '.join(wishes)}, {left_s:.0f} s left"
+
+
+def _short(text: str, most: int = 70) -> str:
+    return text if len(text) <= most else text[: most - 1] + "…"

@@ -1,0 +1,113 @@
+"""What a run comes to: counts from the simulator's heartbeats, commands and their outcomes from the replies."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+from schemas.runtime.clock import NS
+from schemas.wire.messages import Command, Event, Observation, Reply, Status
+
+SCHEMA = "fastslow.run/1"
+_COUNTED = ("ticks", "answered", "missed", "collisions", "failsafes", "episodes", "skipped")
+KEPT = 500
+"""Events and lane changes in the summary, the first ones."""
+
+
+@dataclass
+class Said:
+    """A command and how it went on. Times in seconds since the run began; None: it never did."""
+
+    text: str
+    said_s: float | None = None
+    """Unknown for plain text, which carries no stamp."""
+    heard_s: float | None = None
+    issued_s: float | None = None
+    outcome: str = "unanswered"
+    fulfilled_s: float | None = None
+    why: str = ""
+
+
+class Summary:
+    """Collects what the bus says about a run."""
+
+    def __init__(self, scenario: str, seed: int, start_ns: int) -> None:
+        self._scenario, self._seed, self._start_ns = scenario, seed, start_ns
+        self._figures: dict[int, dict[str, float]] = {}
+        """The newest figures of each simulator process: a restarted one counts from 0 again."""
+        self._said: dict[int, Said] = {}
+        self._vetoes = 0
+        self._events: list[dict[str, object]] = []
+        self._lanes: list[dict[str, object]] = []
+
+    def begin(self, start_ns: int) -> None:
+        """The run begins now: times count from here."""
+        self._start_ns = start_ns
+        self._lanes.clear()
+
+    def command(self, command: Command) -> None:
+        self._of(command.id, command.text).said_s = self._at(command.stamp_ns)
+
+    def reply(self, reply: Reply) -> None:
+        said = self._of(reply.command_id, reply.text)
+        at = self._at(reply.stamp_ns)
+        said.outcome = reply.outcome
+        if reply.why:
+            said.why = reply.why
+        if reply.outcome in ("heard", "refused"):
+            said.heard_s = at
+        elif reply.outcome == "issued" and said.issued_s is None:  # a thought repeated by itself is not a new answer
+            said.issued_s = at
+        elif reply.outcome == "fulfilled":
+            said.fulfilled_s = at
+
+    def event(self, event: Event) -> None:
+        self._vetoes += event.kind == "vetoed"
+        if len(self._events) < KEPT:
+            self._events.append(
+                {
+                    "at_s": self._at(event.stamp_ns),
+                    "kind": event.kind,
+                    "rule": event.rule,
+                    "vehicle": event.vehicle,
+                    "duration_s": round(event.duration_s, 3),
+                    "detail": event.detail,
+                    "command_id": event.command_id,
+                }
+            )
+
+    def observation(self, observation: Observation) -> None:
+        """Keeps when the ego began to aim for another lane, and when it was there."""
+        lane, there = observation.target_lane, observation.previous_lane < 0
+        if len(self._lanes) < KEPT and (
+            not self._lanes or (self._lanes[-1]["lane"], self._lanes[-1]["there"]) != (lane, there)
+        ):
+            self._lanes.append({"at_s": self._at(observation.stamp_ns), "lane": lane, "there": there})
+
+    def status(self, status: Status) -> None:
+        if status.node == "sim":
+            self._figures[status.pid] = status.figures
+
+    def _of(self, command_id: int, text: str) -> Said:
+        return self._said.setdefault(command_id, Said(text))
+
+    def _at(self, stamp_ns: int) -> float:
+        return round((stamp_ns - self._start_ns) / NS, 3)
+
+    def result(self, restarts: dict[str, int], now_ns: int) -> dict[str, object]:
+        """The summary as plain data, for JSON."""
+        total = {k: int(sum(figures.get(k, 0) for figures in self._figures.values())) for k in _COUNTED}
+        newest = next(reversed(self._figures.values()), {})
+        return {
+            "schema": SCHEMA,
+            "scenario": self._scenario,
+            "seed": self._seed,
+            "duration_s": self._at(now_ns),
+            **total,
+            "restarts": sum(restarts.values()),
+            "restarts_of": {name: count for name, count in restarts.items() if count},
+            "latency_us": {"p50": newest.get("rtt_p50_us"), "p99": newest.get("rtt_p99_us")},
+            "commands": [asdict(said) for said in self._said.values()],
+            "vetoes": self._vetoes,
+            "events": self._events,
+            "lanes": self._lanes,
+        }

@@ -1,0 +1,213 @@
+"""One run of the whole system: the router session, the supervisor, what is shown and what is kept of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import shutil
+import sys
+import tempfile
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+from deploy.run.processes import (
+    TCP_HOST,
+    Process,
+    RunOptions,
+    choose_model,
+    data_folder,
+    free_port,
+    listener_of,
+    process_table,
+    router_endpoints,
+)
+from deploy.run.status import Live
+from deploy.run.summary import Summary
+from deploy.run.supervisor import RestartPolicy, Supervisor, catch_signals
+from schemas.runtime.bus import Bus, BusConfig, BusError, open_bus
+from schemas.runtime.clock import NS
+from schemas.runtime.process import CONFIG, FAILED, OK, TRY_AGAIN
+from schemas.runtime.realtime import trial
+from schemas.wire import topics
+from schemas.wire.messages import Command
+
+STEP_S = 0.05
+OVERTIME_S = 5.0
+"""The simulator ends a run of given duration itself; the supervisor ends it when that is this late."""
+START_WAIT_S = 20.0
+"""A run counts as begun after this long even if a node that may fail is not ready."""
+
+
+def run_system(
+    options: RunOptions, table: tuple[Process, ...] | None = None, policy: RestartPolicy | None = None
+) -> int:
+    """Run to the end and return the exit code. `table` and `policy` are for tests; the sockets are then the caller's.
+
+    Data goes to stdout: the summary, with `as_json` alone, else the live lines as well.
+    """
+    sockets = Path(tempfile.mkdtemp(prefix="fastslow-"))  # short: a Unix socket's path has less than 108 characters
+    port = options.port or free_port()
+    try:
+        data_folder().mkdir(parents=True, exist_ok=True)
+        with open_bus(BusConfig(mode="router", listen=router_endpoints(sockets, port))) as bus:
+            rows = process_table(options, choose_model(), sockets) if table is None else table
+            return _Run(options, port, bus, rows, policy).to_its_end()
+    except BusError as error:
+        if "in use" not in str(error):
+            print(f"fastslow: cannot listen on {TCP_HOST}:{port}: {error}", file=sys.stderr)
+            return CONFIG
+        holder = listener_of(port) or "another process"
+        print(
+            f"fastslow: port {port} is held by {holder}; stop it, or choose another with --port (0: any free one)",
+            file=sys.stderr,
+        )
+        return TRY_AGAIN
+    except OSError as error:
+        print(
+            f"fastslow: cannot write {error.filename}: {error.strerror}; run it in a folder of your own, and set "
+            "FASTSLOW_DATA to another one if need be",
+            file=sys.stderr,
+        )
+        return CONFIG
+    finally:
+        shutil.rmtree(sockets, ignore_errors=True)
+
+
+def new_run_folder() -> Path:
+    """`runs/<UTC time>-<pid>` under the current folder."""
+    folder = Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{os.getpid()}"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+class _Run:
+    def __init__(
+        self, options: RunOptions, port: int, bus: Bus, table: tuple[Process, ...], policy: RestartPolicy | None
+    ) -> None:
+        self._options, self._port, self._bus = options, port, bus
+        self._folder = new_run_folder()
+        self._log = open(self._folder / "supervisor.jsonl", "a", encoding="utf-8")  # noqa: SIM115 - as long as the run
+        self._out = sys.stderr if options.as_json else sys.stdout
+        self._supervisor = Supervisor(table, self._folder, self._notice, policy)
+        self._live = Live()
+        self._opened_ns = time.monotonic_ns()
+        self._began_ns: int | None = None
+        self._summary = Summary(options.scenario, options.seed, self._opened_ns)
+        self._said = options.say is None
+        self._status = bus.subscribe(topics.STATUS)
+        self._replies = bus.subscribe(topics.REPLY)
+        self._events = bus.subscribe(topics.EVENT)
+        self._actions = bus.subscribe(topics.ACTION)
+        self._observations = bus.subscribe(topics.OBSERVATION)
+        self._directives = bus.subscribe(topics.DIRECTIVE)
+        self._commands = bus.subscribe(topics.COMMAND)
+
+    def to_its_end(self) -> int:
+        supervisor = self._supervisor
+        self._print(
+            f"fastslow: {self._options.scenario}, scheduling {trial(self._options.realtime)}, "
+            f'logs in {self._folder}/; speak to it with: fastslow say "..."'
+            f"{'' if self._port == 7447 else f' --port {self._port}'}"
+        )
+        with catch_signals(supervisor.kill) as signals:
+            try:
+                code = None
+                supervisor.start()
+                next_line_s = time.monotonic() + 1.0
+                while code is None and not signals.first:
+                    time.sleep(STEP_S)
+                    self._read_bus()
+                    code = supervisor.step()
+                    self._begin_and_say()
+                    if code is None and self._overdue():
+                        code = OK
+                    if time.monotonic() >= next_line_s:
+                        next_line_s += 1.0
+                        self._print(self._live.line(time.monotonic_ns(), self._unready()))
+                ended_ns = time.monotonic_ns()
+            finally:
+                supervisor.stop(self._read_bus)
+            time.sleep(STEP_S)  # the last words may still be on their way
+            self._read_bus()
+            self._finish(ended_ns)
+            self._log.close()
+            if signals.first:
+                return 128 + signals.first
+            return FAILED if code is None else code
+
+    def _print(self, line: str) -> None:
+        try:
+            print(line, file=self._out, flush=True)
+        except BrokenPipeError:  # nobody reads any more; the car drives on, and the run folder has it all
+            self._out = open(os.devnull, "w")  # noqa: SIM115 - as long as the process
+
+    def _notice(self, line: str) -> None:
+        json.dump({"t_ns": time.monotonic_ns(), "node": "supervisor", "event": "notice", "detail": line}, self._log)
+        self._log.write("\n")
+        self._log.flush()
+        self._print(f"  {line}")
+
+    def _unready(self) -> str:
+        return ", ".join(name for name, state in self._supervisor.states.items() if state in ("waiting", "starting"))
+
+    def _read_bus(self) -> None:
+        for status in self._status.take():
+            self._supervisor.beat(status.node, status.pid)
+            self._live.status(status)
+            self._summary.status(status)
+        for observation in self._observations.take():
+            self._live.observation(observation)
+            self._summary.observation(observation)
+        for action in self._actions.take():
+            self._live.action(action)
+        for directive in self._directives.take():
+            self._live.directive(directive)
+        for command in self._commands.take():
+            self._summary.command(command)
+        for reply in self._replies.take():
+            self._summary.reply(reply)
+            self._print(self._live.reply(reply))
+        for event in self._events.take():
+            self._summary.event(event)
+            line = self._live.event(event)
+            if line is not None:
+                self._print(line)
+
+    def _begin_and_say(self) -> None:
+        """The run begins when the road is there and all who should listen do; the words of `--say` count from then."""
+        now = time.monotonic_ns()
+        if self._began_ns is None:
+            states = self._supervisor.states
+            listening = all(states.get(name, "ready") in ("ready", "gave up") for name in ("sim", "fast", "slow"))
+            if listening or now - self._opened_ns > START_WAIT_S * NS:
+                self._began_ns = now
+                self._summary.begin(now)
+        elif not self._said and now - self._began_ns >= self._options.say_at_s * NS:
+            self._said = True
+            self._bus.publish(
+                topics.COMMAND,
+                Command(epoch=0, stamp_ns=now, id=secrets.randbits(48), text=self._options.say or "", source="run"),
+            )
+
+    def _overdue(self) -> bool:
+        if self._options.duration_s is None or self._began_ns is None:
+            return False
+        allowed_s = self._options.duration_s + (OVERTIME_S if "sim" in self._supervisor.states else 0.0)
+        return time.monotonic_ns() - self._began_ns > allowed_s * NS
+
+    def _finish(self, ended_ns: int) -> None:
+        summary = self._summary.result(self._supervisor.restarts, ended_ns)
+        (self._folder / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+        if self._options.as_json:
+            print(json.dumps(summary), flush=True)
+            return
+        latency = summary["latency_us"]
+        assert isinstance(latency, dict)
+        p50, p99 = (f"{value / 1e3:.1f}" if value is not None else "-" for value in (latency["p50"], latency["p99"]))
+        self._print(
+            f"summary: {summary['duration_s']} s, {summary['ticks']} ticks, {summary['answered']} answered, "
+            f"{summary['missed']} missed, {summary['collisions']} collisions, {summary['vetoes']} vetoes, "
+            f"{summary['restarts']} restarts, round trip p50/p99 {p50}/{p99} ms; {self._folder / 'summary.json'}"
+        )

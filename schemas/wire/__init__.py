@@ -1,0 +1,1 @@
+"""What travels, on which topic, and in which bytes."""

@@ -1,0 +1,100 @@
+"""Typed encoders and decoders: a bad payload becomes a `Fault` with a reason, never a traceback."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, TypeVar
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.wire.messages import ROW_COLUMNS, ROW_LAYOUT, SCHEMA_VERSION, Command, Message, Observation
+from schemas.wire.topics import MAX_COMMAND_CHARS, MAX_MESSAGE_BYTES, Topic
+
+M = TypeVar("M", bound=Message)
+_MAJOR = SCHEMA_VERSION.partition(".")[0]
+_encoder = msgspec.msgpack.Encoder()
+_decoders: dict[type[Message], msgspec.msgpack.Decoder[Any]] = {}
+
+
+class Fault(ValueError):  # noqa: N818 - a word of the contract, not a mistake of ours
+    """A payload that cannot be used; `str()` says why in one line."""
+
+
+def encode(message: Message) -> bytes:
+    """MessagePack map of a message. Raises `Fault` if it would exceed `MAX_MESSAGE_BYTES`."""
+    payload = _encoder.encode(message)
+    if len(payload) > MAX_MESSAGE_BYTES:
+        raise Fault(f"{type(message).__name__} of {len(payload)} bytes exceeds {MAX_MESSAGE_BYTES}")
+    return payload
+
+
+def decode(topic: Topic[M], payload: bytes) -> M:
+    """The message in a payload of `topic`.
+
+    Raises `Fault` on anything else: too large, not MessagePack, a missing or ill-typed field, a non-finite number where
+    one drives the car, another schema major (naming both versions).
+    """
+    if len(payload) > MAX_MESSAGE_BYTES:
+        raise Fault(f"{len(payload)} bytes exceed {MAX_MESSAGE_BYTES}")
+    decoder = _decoders.get(topic.type)
+    if decoder is None:
+        decoder = _decoders[topic.type] = msgspec.msgpack.Decoder(topic.type)
+    try:
+        message: M = decoder.decode(payload)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, OverflowError) as error:
+        raise Fault(f"not a {topic.type.__name__}: {error}") from None
+    if message.schema != SCHEMA_VERSION and message.schema.partition(".")[0] != _MAJOR:
+        raise Fault(f"schema {message.schema} is not readable here (this is {SCHEMA_VERSION})")
+    if isinstance(message, Observation):
+        _check_observation(message)
+    return message
+
+
+def _check_observation(observation: Observation) -> None:
+    width = 4 * len(ROW_COLUMNS)
+    if observation.layout != ROW_LAYOUT:
+        raise Fault(f"row layout {observation.layout!r} is not {ROW_LAYOUT!r}")
+    if not observation.rows or len(observation.rows) % width:
+        raise Fault(f"rows of {len(observation.rows)} bytes are not whole rows of {width}")
+    if not observation.lanes:
+        raise Fault("an observation without lanes")
+    if not math.isfinite(sum(memoryview(observation.rows).cast("f"))):  # quicker than NumPy for so few
+        raise Fault("a non-finite number in rows")
+    if not (math.isfinite(observation.target_speed_mps) and math.isfinite(observation.acceleration_mps2)):
+        raise Fault("a non-finite set-point")
+    if not 0 <= observation.target_lane < len(observation.lanes):
+        raise Fault(f"target_lane {observation.target_lane} is not one of {len(observation.lanes)} lanes")
+
+
+def rows_of(observation: Observation) -> NDArray[np.float32]:
+    """(V, 9) float32 view of an observation's rows; the ego is row 0. Columns: `schemas.wire.messages.ROW_COLUMNS`."""
+    return np.frombuffer(observation.rows, np.float32).reshape(-1, len(ROW_COLUMNS))
+
+
+def decode_command(payload: bytes, *, fallback_id: int, epoch: int, now_ns: int) -> Command:
+    """A passenger's command: a `Command` struct, or plain UTF-8 text, which gets `fallback_id`.
+
+    Raises `Fault` with a sentence for the passenger: empty, too long, or not text.
+    """
+    command: Command | None = None
+    if payload[:1] and (payload[0] & 0xF0 == 0x80 or payload[0] in (0xDE, 0xDF)):  # a MessagePack map, never UTF-8 text
+        try:
+            command = msgspec.msgpack.decode(payload, type=Command)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, OverflowError):
+            raise Fault("a command must be plain UTF-8 text") from None
+    if command is None:
+        try:
+            text = payload.decode("utf-8")
+        except UnicodeDecodeError:
+            raise Fault("a command must be plain UTF-8 text") from None
+        command = Command(id=fallback_id, epoch=epoch, stamp_ns=now_ns, text=text)
+    text = command.text.strip()
+    if not text:
+        raise Fault("the command is empty")
+    if len(text) > MAX_COMMAND_CHARS:
+        raise Fault(f"the command has {len(text)} characters; {MAX_COMMAND_CHARS} is the most")
+    if any(ord(c) < 32 and c not in "\t\n\r" for c in text):
+        raise Fault("the command contains control characters; plain text is needed")
+    return msgspec.structs.replace(command, text=" ".join(text.split()))

@@ -1,0 +1,1 @@
+"""Language drivers to compare with."""

@@ -1,0 +1,1 @@
+"""Language models: the client, the embedded server, the sentence embedding."""

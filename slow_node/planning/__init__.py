@@ -1,0 +1,1 @@
+"""From slots and scene to a directive and a sentence."""

@@ -1,0 +1,206 @@
+"""Scene encoding (paper's Eq. 5): E_t = Enc(s_t), the road and the most relevant vehicles in one short sentence."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from schemas.driving.measures import INF, gap_m, ttc_s
+from schemas.wire.codec import rows_of
+from schemas.wire.messages import Lane, Observation
+
+SIGHT_M = 150.0
+BESIDE_M = 12.0
+"""A lane is free when no centre of a vehicle lies within this distance of the ego's, along the road."""
+RELEVANT_M, RELEVANT_N = 80.0, 4
+"""The nearest vehicles around, up to this gap and number, are described beside the lead and the oncoming car."""
+CLEAR_OF_SLOW_M = 100.0
+"""A lane without a slow car within this is worth moving back to: farther than a car to overtake, or it would be left
+again at once."""
+SLOWER_THAN_LIMIT_MPS = 0.5
+"""A car ahead that drives more than this below the limit is slow."""
+LANE_ENDS_M = 300.0
+"""A lane that ends within this distance is said to end."""
+
+
+@dataclass(frozen=True)
+class Other:
+    """A vehicle near the ego: bumper-to-bumper gap (negative: beside or behind) and speed along the road."""
+
+    id: int
+    gap_m: float
+    speed_mps: float
+
+
+@dataclass(frozen=True)
+class Neighbour:
+    """The next vehicle ahead of or behind the ego in its lane or one beside it."""
+
+    side: int
+    """Its lane's index minus the ego's: -1 left, 0 same, 1 right."""
+    ahead: bool
+    gap_m: float
+    """Bumper to bumper; negative: beside the ego."""
+    closing_mps: float
+    """How fast the gap shrinks; negative: it grows."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What the slow node knows of the road at one tick."""
+
+    epoch: int
+    tick: int
+    stamp_ns: int
+    scenario: str
+    lanes: tuple[Lane, ...]
+    x_m: float
+    length_m: float
+    speed_mps: float
+    ego_lane: int
+    home_lane: int
+    """The ego's lane, or the nearest one of its own direction while it borrows an oncoming lane."""
+    limit_mps: float
+    lead: Other | None
+    """The next vehicle ahead in `home_lane`: the one to follow, or the one being passed."""
+    ttc_s: float
+    """Time to collision with the next vehicle ahead in the ego's lane, oncoming or not; inf while the gap opens."""
+    oncoming_gap_m: float
+    """To the next vehicle that approaches; inf when none is in sight."""
+    oncoming_closing_mps: float
+    """How fast that gap shrinks; 0 when none is in sight."""
+    free_lanes: tuple[int, ...]
+    slow_lanes: frozenset[int]
+    """Those with a slow car ahead within `CLEAR_OF_SLOW_M`: no reason to move there."""
+    positions: dict[int, float]
+    """Centre along the road of every vehicle seen, by id."""
+    neighbours: tuple[Neighbour, ...]
+    """The `RELEVANT_N` nearest within `RELEVANT_M`, without the lead and the oncoming; nearest first."""
+
+    @property
+    def two_way(self) -> bool:
+        return any(lane.direction == -1 for lane in self.lanes)
+
+    @property
+    def borrowing(self) -> bool:
+        """The ego is in an oncoming lane."""
+        return self.lanes[self.ego_lane].direction == -1
+
+    def exists(self, lane: int) -> bool:
+        """The lane is part of the road here."""
+        return 0 <= lane < len(self.lanes) and self.lanes[lane].start_m <= self.x_m <= self.lanes[lane].end_m
+
+
+def is_slow(speed_mps: float, limit_mps: float) -> bool:
+    """A car at this speed holds others up."""
+    return speed_mps < limit_mps - SLOWER_THAN_LIMIT_MPS
+
+
+def encode_scene(observation: Observation) -> Scene:
+    """Enc: the observation's rows as the few quantities that a command can be about."""
+    rows = rows_of(observation).tolist()
+    _, x, _, vx, vy, _, length, _, lane = rows[0]
+    lanes = observation.lanes
+    ego_lane = min(max(int(lane), 0), len(lanes) - 1)
+    own = [i for i, at in enumerate(lanes) if at.direction == 1]
+    home = ego_lane if lanes[ego_lane].direction == 1 or not own else min(own, key=lambda i: abs(i - ego_lane))
+    lead: Other | None = None
+    ahead_m, ttc, oncoming, oncoming_closing = INF, INF, INF, 0.0
+    beside: set[int] = set()
+    slow: set[int] = set()
+    around: dict[tuple[int, bool], tuple[Neighbour, int]] = {}
+    for identity, other_x, _, other_vx, _, _, other_length, _, other_lane in rows[1:]:
+        index = min(max(int(other_lane), 0), len(lanes) - 1)
+        gap = gap_m(x, other_x, length, other_length)
+        if abs(other_x - x) < BESIDE_M:
+            beside.add(index)
+        if abs(index - ego_lane) <= 1 and not (lanes[index].direction == -1 and other_vx < 0.0):
+            ahead = other_x >= x
+            apart = gap if ahead else gap_m(other_x, x, other_length, length)
+            place = (index - ego_lane, ahead)
+            if apart < RELEVANT_M and (place not in around or apart < around[place][0].gap_m):
+                closing = vx - other_vx if ahead else other_vx - vx
+                around[place] = Neighbour(*place, apart, closing), int(identity)
+        if other_x > x and gap < CLEAR_OF_SLOW_M and is_slow(other_vx, lanes[index].speed_limit_mps):
+            slow.add(index)
+        if not 0.0 < other_x - x < SIGHT_M:
+            continue
+        if index == ego_lane and gap < ahead_m:
+            ahead_m, ttc = gap, ttc_s(gap, vx - other_vx)
+        if lanes[index].direction == -1 and other_vx < 0.0:
+            if gap < oncoming:
+                oncoming, oncoming_closing = gap, vx - other_vx
+        elif index == home and (lead is None or gap < lead.gap_m):
+            lead = Other(int(identity), gap, other_vx)
+    return Scene(
+        epoch=observation.epoch,
+        tick=observation.tick,
+        stamp_ns=observation.stamp_ns,
+        scenario=observation.scenario,
+        lanes=lanes,
+        x_m=x,
+        length_m=length,
+        speed_mps=math.hypot(vx, vy),
+        ego_lane=ego_lane,
+        home_lane=home,
+        limit_mps=lanes[ego_lane].speed_limit_mps,
+        lead=lead,
+        ttc_s=ttc,
+        oncoming_gap_m=oncoming,
+        oncoming_closing_mps=oncoming_closing,
+        free_lanes=tuple(
+            i for i, at in enumerate(lanes) if at.start_m <= x <= at.end_m and (i == ego_lane or i not in beside)
+        ),
+        slow_lanes=frozenset(slow),
+        positions={int(row[0]): row[1] for row in rows[1:]},
+        neighbours=tuple(
+            sorted(
+                (one for one, identity in around.values() if lead is None or identity != lead.id),
+                key=lambda one: one.gap_m,
+            )[:RELEVANT_N]
+        ),
+    )
+
+
+def describe(scene: Scene, veto: str = "") -> str:
+    """E_t as text: the road, our speed, the lead, the oncoming car, who is around, which lanes are free or end, and the
+    rule by which the fast system just vetoed something. Gaps in m, speeds in m/s; "closing -2": the gap grows.
+
+    From forty to a hundred tokens, each of which costs the embedded model ten milliseconds.
+    """
+    lead, here = scene.lead, scene.lanes[scene.ego_lane]
+    parts = [
+        f"{'two-way' if scene.two_way else 'one-way'} road, lanes 0-{len(scene.lanes) - 1}, we are in {scene.ego_lane}",
+        f"{scene.speed_mps:.0f} of {scene.limit_mps:.0f} m/s",
+        f"car ahead {lead.gap_m:.0f} m at {lead.speed_mps:.1f} m/s, {_closing(scene.speed_mps - lead.speed_mps)}"
+        if lead
+        else "no car ahead",
+    ]
+    if math.isfinite(scene.oncoming_gap_m):
+        parts.append(f"oncoming car {scene.oncoming_gap_m:.0f} m, {_closing(scene.oncoming_closing_mps)}")
+    parts += map(_place, scene.neighbours)
+    parts.append("free lanes " + (", ".join(map(str, scene.free_lanes)) or "none"))
+    for index, lane in enumerate(scene.lanes):
+        if scene.exists(index) and (lane.direction == -1 or lane.kind == "ramp"):
+            parts.append(f"lane {index} is {'oncoming' if lane.direction == -1 else 'a ramp'}")
+    if here.end_m - scene.x_m < LANE_ENDS_M:
+        parts.append(f"our lane ends in {here.end_m - scene.x_m:.0f} m")
+    if veto:
+        parts.append(f"just vetoed: {veto}")
+    return "; ".join(parts)
+
+
+def road_and_lead(described: str) -> str:
+    """The first three parts of a description, enough for an example: road, speed, lead."""
+    return "; ".join(described.split("; ")[:3])
+
+
+def _closing(mps: float) -> str:
+    return f"closing {round(mps)}"
+
+
+def _place(one: Neighbour) -> str:
+    side = {-1: "left ", 0: "", 1: "right "}[one.side]
+    if one.gap_m <= 0.0:
+        return f"{side}beside us"
+    return f"{side}{'ahead' if one.ahead else 'behind'} {one.gap_m:.0f} m, {_closing(one.closing_mps)}"

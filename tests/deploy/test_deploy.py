@@ -1,0 +1,359 @@
+"""The supervisor with tiny fake nodes, and the command line as a user calls it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from deploy.run.processes import Model, Process, RunOptions, free_port, listener_of, process_table
+from deploy.run.status import Live
+from deploy.run.summary import Summary
+from deploy.run.supervisor import RestartPolicy, Supervisor
+from schemas.wire.messages import Command, Directive, Event, Observation, Reply, Status
+
+QUICK = RestartPolicy(first_s=0.05, most_s=0.1, grace_s=0.5)
+ROOT = Path(__file__).parents[2]
+
+SLEEPER = "import time\nwhile True: time.sleep(1)"
+STUBBORN = f"import signal\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\n{SLEEPER}"
+WITH_CHILD = f"import subprocess, sys\nsubprocess.Popen([sys.executable, '-c', {STUBBORN!r}])\n{SLEEPER}"
+FAILING = 'import sys\nprint(\'{"event": "x", "detail": "no road"}\', file=sys.stderr)\nsys.exit(3)'
+
+
+def fake(name: str, code: str, *, critical: bool = False, **more: object) -> Process:
+    return Process(name=name, argv=(sys.executable, "-c", code), critical=critical, **more)  # type: ignore[arg-type]
+
+
+class Watched:
+    """A supervisor under test, with everything that it said; `hearts` are the nodes whose hearts beat."""
+
+    def __init__(self, folder: Path, *table: Process) -> None:
+        self.said: list[str] = []
+        self.hearts = {process.name for process in table}
+        self.supervisor = Supervisor(table, folder, self.said.append, QUICK)
+        self.code: int | None = None
+
+    def until(self, condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < deadline, f"it did not happen in time: {self.said}"
+            for name in self.hearts:
+                pid = self.supervisor.pid(name)
+                if pid is not None:
+                    self.supervisor.beat(name, pid)
+            self.code = self.supervisor.step()
+            time.sleep(0.01)
+
+    def ready(self, name: str) -> bool:
+        return self.supervisor.states[name] == "ready"
+
+
+@pytest.fixture
+def watch(tmp_path: Path) -> Iterator[Callable[..., Watched]]:
+    made: list[Watched] = []
+
+    def start(*table: Process) -> Watched:
+        made.append(Watched(tmp_path, *table))
+        made[-1].supervisor.start()
+        return made[-1]
+
+    yield start
+    for watched in made:
+        watched.supervisor.stop()
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def group(pid: int) -> list[int]:
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if os.getpgid(int(folder.name)) == pid and alive(int(folder.name)):
+                found.append(int(folder.name))
+        except ProcessLookupError:
+            continue
+    return found
+
+
+def test_a_killed_process_comes_back_and_is_counted(watch: Callable[..., Watched]) -> None:
+    watched = watch(fake("slow", SLEEPER), fake("sim", SLEEPER, critical=True))
+    watched.until(lambda: watched.ready("slow") and watched.ready("sim"))
+    sim, slow = watched.supervisor.pid("sim"), watched.supervisor.pid("slow")
+    assert slow is not None
+    os.kill(slow, signal.SIGKILL)
+    watched.until(lambda: watched.supervisor.restarts["slow"] == 1 and watched.ready("slow"))
+    assert watched.supervisor.pid("slow") != slow
+    assert watched.supervisor.pid("sim") == sim
+    assert any("killed by signal 9" in line for line in watched.said)
+    assert "slow is back" in watched.said
+
+
+def test_a_process_whose_heart_stops_is_killed_and_restarted(watch: Callable[..., Watched]) -> None:
+    watched = watch(fake("fast", STUBBORN, heartbeat_s=0.3))
+    watched.until(lambda: watched.ready("fast"))
+    first = watched.supervisor.pid("fast")
+    assert first is not None
+    watched.hearts.clear()
+    watched.until(lambda: watched.supervisor.restarts["fast"] == 1)
+    assert not alive(first)
+    watched.until(lambda: watched.supervisor.pid("fast") not in (None, first))
+    watched.supervisor.beat("fast", first)  # a heartbeat that the dead one had sent
+    assert not watched.ready("fast")
+
+
+def test_the_run_ends_when_what_drives_keeps_failing(watch: Callable[..., Watched]) -> None:
+    watched = watch(fake("sim", FAILING, critical=True))
+    watched.until(lambda: watched.code is not None)
+    assert watched.code == 1
+    assert watched.supervisor.restarts["sim"] == 5
+    assert "no road" in watched.said[-1]
+
+
+def test_the_run_goes_on_when_what_thinks_keeps_failing(watch: Callable[..., Watched]) -> None:
+    watched = watch(fake("slow", FAILING), fake("sim", SLEEPER, critical=True))
+    watched.until(lambda: watched.supervisor.states["slow"] == "gave up")
+    assert watched.code is None
+    assert watched.ready("sim")
+    assert "going on without it" in watched.said[-1]
+
+
+def test_a_bad_configuration_is_not_tried_again(watch: Callable[..., Watched]) -> None:
+    words = 'import sys\nprint(\'{"detail": "unknown scenario"}\', file=sys.stderr)\nsys.exit(78)'
+    watched = watch(fake("sim", words, critical=True))
+    watched.until(lambda: watched.code is not None)
+    assert watched.code == 78
+    assert watched.said == ["sim cannot start: unknown scenario"]
+
+
+def test_the_end_of_the_road_is_the_end_of_the_run(watch: Callable[..., Watched]) -> None:
+    watched = watch(fake("sim", "pass", critical=True, finishes=True), fake("fast", SLEEPER, critical=True))
+    watched.until(lambda: watched.code is not None)
+    assert watched.code == 0
+
+
+def test_a_process_waits_for_what_it_needs(watch: Callable[..., Watched]) -> None:
+    watched = watch(fake("fast", SLEEPER), fake("sim", SLEEPER, needs=("fast",)))
+    assert watched.supervisor.pid("sim") is None
+    watched.until(lambda: watched.ready("sim"))
+
+
+def test_the_model_server_is_ready_when_it_answers(watch: Callable[..., Watched]) -> None:
+    port = free_port()
+    server = f"import http.server as h\nh.HTTPServer(('127.0.0.1', {port}), h.SimpleHTTPRequestHandler).serve_forever()"
+    watched = watch(fake("llm", server, probe_url=f"http://127.0.0.1:{port}/"))
+    watched.hearts.clear()
+    watched.until(lambda: watched.ready("llm"))
+
+
+def test_nothing_is_left_after_a_stop(watch: Callable[..., Watched]) -> None:
+    watched = watch(fake("slow", STUBBORN), fake("sim", WITH_CHILD))
+    watched.until(lambda: watched.ready("slow") and watched.ready("sim"))
+    slow, sim = watched.supervisor.pid("slow"), watched.supervisor.pid("sim")
+    assert slow is not None
+    assert sim is not None
+    watched.until(lambda: len(group(sim)) == 2)
+    watched.supervisor.stop()
+    watched.until(lambda: group(slow) == group(sim) == [], timeout_s=1.0)  # the kernel ends a group in its own time
+
+
+def test_backoff_doubles_up_to_its_limit() -> None:
+    policy = RestartPolicy(jitter=0.0)
+    assert [policy.delay_s(n) for n in range(1, 7)] == [0.5, 1.0, 2.0, 4.0, 8.0, 8.0]
+
+
+RUN = """
+import sys
+from deploy.run.processes import Process, RunOptions
+from deploy.run.system import run_system
+stubborn = {stubborn!r}
+table = tuple(Process(name=n, argv=(sys.executable, "-c", stubborn), critical=False) for n in ("sim", "fast", "slow"))
+sys.exit(run_system(RunOptions(port=0, as_json=True), table))
+"""
+
+
+def start_run(folder: Path) -> tuple[subprocess.Popen[bytes], list[int]]:
+    code = RUN.format(stubborn=STUBBORN)
+    env = {**os.environ, "PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(folder)}
+    run = subprocess.Popen(
+        [sys.executable, "-c", code], cwd=folder, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
+    children = Path(f"/proc/{run.pid}/task/{run.pid}/children")
+    deadline = time.monotonic() + 10.0
+    while len(pids := [int(pid) for pid in children.read_text().split()]) < 3:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    time.sleep(0.2)
+    return run, pids
+
+
+def test_a_terminated_run_leaves_a_summary_and_no_orphan(tmp_path: Path) -> None:
+    run, pids = start_run(tmp_path)
+    run.send_signal(signal.SIGTERM)
+    out, _ = run.communicate(timeout=20)
+    assert run.returncode == 143
+    assert not any(map(alive, pids))
+    summary = json.loads(out)
+    assert summary["schema"] == "fastslow.run/1"
+    assert {"ticks", "answered", "missed", "collisions", "restarts", "latency_us", "commands", "vetoes"} <= set(summary)
+    assert [json.loads(file.read_text()) for file in tmp_path.glob("runs/*/summary.json")] == [summary]
+
+
+def test_a_second_signal_ends_it_at_once(tmp_path: Path) -> None:
+    run, pids = start_run(tmp_path)
+    run.send_signal(signal.SIGINT)
+    time.sleep(0.3)
+    start = time.monotonic()
+    run.send_signal(signal.SIGINT)
+    run.communicate(timeout=10)
+    assert run.returncode == 130
+    assert time.monotonic() - start < 1.0
+    time.sleep(0.1)
+    assert not any(map(alive, pids))
+
+
+def fastslow(*words: str, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    env = {**os.environ, "PYTHONPATH": str(ROOT), **({"FASTSLOW_DATA": str(folder)} if folder else {})}
+    return subprocess.run(
+        [sys.executable, "-m", "deploy", *words],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        cwd=folder,
+        env=env,
+        check=False,
+    )
+
+
+def test_a_taken_port_names_its_holder(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        result = fastslow("run", "--port", str(port), folder=tmp_path)
+        assert listener_of(port) is not None
+    assert result.returncode == 75
+    assert f"port {port} is held by process {os.getpid()} (" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize("verb", [("say", "faster, please"), ("status",)])
+def test_nobody_there_is_69(verb: tuple[str, ...]) -> None:
+    result = fastslow(*verb, "--port", str(free_port()))
+    assert result.returncode == 69
+    assert "nobody is there" in result.stderr
+    assert "fastslow run" in result.stderr
+
+
+def test_a_folder_that_cannot_be_written_is_78(tmp_path: Path) -> None:
+    (tmp_path / "runs").write_text("a file where the folder should be")
+    result = fastslow("run", "--port", "0", folder=tmp_path)
+    assert result.returncode == 78
+    assert "Traceback" not in result.stderr
+    assert "cannot write" in result.stderr
+
+
+def test_a_usage_mistake_is_2() -> None:
+    assert fastslow("run", "--without", "wheels").returncode == 2
+    assert fastslow("run", "--duration", "soon").returncode == 2
+    assert fastslow("fly").returncode == 2
+
+
+@pytest.mark.parametrize("verb", [(), ("run",), ("say",), ("status",), ("doctor",)])
+def test_help_shows_examples_and_exit_codes(verb: tuple[str, ...]) -> None:
+    result = fastslow(*verb, "--help")
+    assert result.returncode == 0
+    assert "Examples:" in result.stdout
+    assert " ".join(("fastslow", *verb)) in result.stdout
+    assert "Exit codes" in result.stdout
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = textwrap.dedent("""
+        import sys, deploy.cli.app
+        heavy = {"zenoh", "numpy", "httpx", "msgspec", "gymnasium", "torch"} & set(sys.modules)
+        sys.exit(" ".join(heavy) or 0)
+    """)
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
+
+
+def test_doctor_reports_in_json() -> None:
+    report = json.loads(fastslow("doctor", "--json", "--port", str(free_port())).stdout)
+    assert report["schema"] == "fastslow.doctor/1"
+    found = {check["name"]: check["result"] for check in report["checks"]}
+    assert found["bus"] == found["packages"] == found["port"] == "ok"
+    assert all(check["fix"] for check in report["checks"] if check["result"] != "ok")
+
+
+def test_the_table_says_who_matters() -> None:
+    model = Model(base_url="http://127.0.0.1:1/v1", name="x", embedded=True, port=1)
+    table = {p.name: p for p in process_table(RunOptions(duration_s=4.0), model, Path("/tmp/s"))}
+    assert [p.name for p in table.values() if p.critical] == ["fast", "sim"]
+    config = json.loads(table["sim"].argv[-1])
+    assert (config["scenario"], config["duration_s"]) == ("two-way", 4.0)
+    assert "unixsock-stream//tmp/s/bus.sock" in config["bus"]["connect"]
+    cloud = Model(base_url="https://x/v1", name="x", embedded=False)
+    names = [p.name for p in process_table(RunOptions(without=("fast",)), cloud, Path("/tmp/s"))]
+    assert names == ["sim", "slow"]
+
+
+def test_the_summary_tells_each_command_with_its_times() -> None:
+    summary = Summary("two-way", 3, 0)
+    second = 10**9
+    common = {"epoch": 1, "command_id": 5, "text": "faster"}
+    summary.command(Command(epoch=0, stamp_ns=second, id=5, text="faster"))
+    for at, outcome in ((2, "heard"), (3, "issued"), (4, "issued"), (9, "fulfilled")):
+        summary.reply(Reply(stamp_ns=at * second, outcome=outcome, **common))  # type: ignore[arg-type]
+    summary.event(Event(epoch=1, stamp_ns=0, kind="vetoed", node="fast", tick=1))
+    for pid in (1, 2):
+        summary.status(
+            Status(
+                epoch=1,
+                stamp_ns=0,
+                node="sim",
+                pid=pid,
+                seq=1,
+                state="ready",
+                figures={"ticks": 10.0 * pid, "answered": 9.0, "rtt_p50_us": 100.0 * pid},
+            )
+        )
+    result = summary.result({"sim": 1, "slow": 0}, 20 * second)
+    assert (result["ticks"], result["answered"], result["restarts"], result["vetoes"]) == (30, 18, 1, 1)
+    assert result["latency_us"] == {"p50": 200.0, "p99": None}
+    assert result["commands"] == [
+        {
+            "text": "faster",
+            "said_s": 1.0,
+            "heard_s": 2.0,
+            "issued_s": 3.0,
+            "outcome": "fulfilled",
+            "fulfilled_s": 9.0,
+            "why": "",
+        }
+    ]
+
+
+def test_the_live_line_shows_what_is_going_on() -> None:
+    live = Live()
+    assert live.line(0, "sim") == "starting: waiting for sim"
+    live.observation(Observation(epoch=1, stamp_ns=0, tick=30, scenario="two-way", lanes=(), rows=b""))
+    live.directive(Directive(epoch=1, stamp_ns=0, id=9, command_id=5, scene_tick=1, manoeuvre="overtake"))
+    assert "overtake, 28 s left" in live.line(2 * 10**9)
+    reply = Reply(epoch=1, stamp_ns=0, command_id=5, outcome="fulfilled", text="faster", say="Done.", directive_id=9)
+    assert 'fulfilled  "faster": "Done."' in live.reply(reply)
+    assert "no directive" in live.line(2 * 10**9)
+    assert live.event(Event(epoch=1, stamp_ns=0, kind="fulfilled", node="fast", tick=1, command_id=5)) is None
+    veto = Event(epoch=1, stamp_ns=0, kind="vetoed", node="fast", tick=8, rule="oncoming", vehicle=4, duration_s=1.5)
+    assert "vetoed     tick 8, oncoming, vehicle 4, for 1.5 s" in (live.event(veto) or "")

@@ -1,0 +1,232 @@
+"""The contract: what is written can be read, and nothing that arrives raises anything but a `Fault`."""
+
+from __future__ import annotations
+
+import math
+import string
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from schemas.wire import messages as m
+from schemas.wire.codec import Fault, decode, decode_command, encode, rows_of
+from schemas.wire.topics import MAX_COMMAND_CHARS, MAX_MESSAGE_BYTES, OBSERVATION, TOPICS, Topic
+
+CALM = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+"""The first texts are slow to make, and the machine may be busy: neither is a finding."""
+
+WIDTH = len(m.ROW_COLUMNS)
+ANY_TOPIC = pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+numbers = st.floats(allow_nan=False, width=32)
+counts = st.integers(0, 2**48)
+words = st.text(max_size=40)
+
+
+def observation(vehicles: int = 3, **changes: Any) -> m.Observation:
+    rows = np.arange(vehicles * WIDTH, dtype=np.float32).tobytes()
+    lanes = (m.Lane(y_m=0.0, start_m=0.0, end_m=500.0), m.Lane(y_m=4.0, start_m=0.0, end_m=500.0))
+    fields: dict[str, Any] = {
+        "epoch": 1,
+        "stamp_ns": 1,
+        "tick": 5,
+        "scenario": "two-way",
+        "lanes": lanes,
+        "rows": rows,
+        **changes,
+    }
+    return m.Observation(**fields)
+
+
+header = {"epoch": counts, "stamp_ns": counts}
+STRATEGIES: dict[str, st.SearchStrategy[m.Message]] = {
+    "observation": st.builds(observation, vehicles=st.integers(1, 16), tick=counts, **header),
+    "action": st.builds(
+        m.Action,
+        answers_tick=counts,
+        meta_action=st.sampled_from([int(a) for a in m.MetaAction]),
+        source=st.sampled_from(["policy", "masked", "coordination", "fallback"]),
+        compute_ns=counts,
+        why=words,
+        speed_goal_mps=st.none() | numbers,
+        directive_id=st.none() | counts,
+        closed=st.lists(st.builds(m.Closure, action=st.integers(0, 5), rule=words), max_size=6).map(tuple),
+        **header,
+    ),
+    "directive": st.builds(
+        m.Directive,
+        id=counts,
+        command_id=counts,
+        scene_tick=counts,
+        target_lane=st.none() | st.integers(0, 9),
+        target_speed_mps=st.none() | numbers,
+        manoeuvre=st.sampled_from(["cruise", "overtake", "stop"]),
+        reasoning=st.text(max_size=200),
+        say=words,
+        **header,
+    ),
+    "command": st.builds(m.Command, id=counts, text=st.text(max_size=MAX_COMMAND_CHARS), **header),
+    "reply": st.builds(
+        m.Reply,
+        command_id=counts,
+        outcome=st.sampled_from(["heard", "refused", "fulfilled"]),
+        text=st.text(max_size=200),
+        say=words,
+        why=words,
+        **header,
+    ),
+    "event": st.builds(
+        m.Event,
+        kind=st.sampled_from(["delayed", "vetoed", "fault"]),
+        node=words,
+        tick=counts,
+        rule=words,
+        detail=words,
+        **header,
+    ),
+    "status": st.builds(
+        m.Status,
+        node=words,
+        pid=counts,
+        seq=counts,
+        state=st.sampled_from(["ready", "stopping"]),
+        figures=st.dictionaries(st.text(string.ascii_lowercase, max_size=12), numbers, max_size=12),
+        **header,
+    ),
+}
+CASES = st.sampled_from(TOPICS).flatmap(lambda topic: st.tuples(st.just(topic), STRATEGIES[topic.name]))
+
+
+def as_map(message: m.Message) -> dict[str, object]:
+    plain: dict[str, object] = msgspec.msgpack.decode(encode(message))
+    return plain
+
+
+@ANY_TOPIC
+@CALM
+@given(payload=st.binary(max_size=4000))
+def test_random_bytes_never_raise_anything_but_a_fault(topic: Topic[m.Message], payload: bytes) -> None:
+    try:
+        decode(topic, payload)
+    except Fault:
+        pass
+
+
+@CALM
+@given(case=CASES, data=st.data())
+def test_a_damaged_message_never_raises_anything_but_a_fault(
+    case: tuple[Topic[m.Message], m.Message], data: st.DataObject
+) -> None:
+    topic, message = case
+    payload = bytearray(encode(message))
+    for _ in range(data.draw(st.integers(1, 4))):
+        payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        decode(topic, bytes(payload[: data.draw(st.integers(0, len(payload)))]))
+    except Fault:
+        pass
+
+
+@CALM
+@given(case=CASES)
+def test_every_message_comes_back_as_it_went_and_is_small(case: tuple[Topic[m.Message], m.Message]) -> None:
+    topic, message = case
+    payload = encode(message)
+    assert len(payload) <= MAX_MESSAGE_BYTES
+    assert decode(topic, payload) == message
+
+
+def test_a_message_that_is_too_large_is_not_sent() -> None:
+    with pytest.raises(Fault, match="exceeds 3072"):
+        encode(m.Command(epoch=0, stamp_ns=0, id=1, text="x" * 10_000))
+
+
+def test_a_payload_that_is_too_large_is_not_read() -> None:
+    with pytest.raises(Fault, match="exceed"):
+        decode(OBSERVATION, b"\x80" * (MAX_MESSAGE_BYTES + 1))
+
+
+@CALM
+@given(case=CASES)
+def test_a_newer_minor_is_read_and_its_unknown_fields_are_ignored(case: tuple[Topic[m.Message], m.Message]) -> None:
+    topic, message = case
+    newer = {**as_map(message), "schema": "1.9", "from_the_future": 1}
+    assert decode(topic, msgspec.msgpack.encode(newer)) == msgspec.structs.replace(message, schema="1.9")
+
+
+@ANY_TOPIC
+@CALM
+@given(data=st.data())
+def test_another_major_is_refused_naming_both(topic: Topic[m.Message], data: st.DataObject) -> None:
+    message = data.draw(STRATEGIES[topic.name])
+    with pytest.raises(Fault, match=rf"2\.0.*{m.SCHEMA_VERSION}"):
+        decode(topic, msgspec.msgpack.encode({**as_map(message), "schema": "2.0"}))
+
+
+@CALM
+@given(place=st.integers(0, 3 * WIDTH - 1), bad=st.sampled_from([math.nan, math.inf, -math.inf]))
+def test_rows_that_are_not_finite_are_refused(place: int, bad: float) -> None:
+    rows = np.zeros(3 * WIDTH, np.float32)
+    rows[place] = bad
+    with pytest.raises(Fault, match="non-finite"):
+        decode(OBSERVATION, encode(observation(rows=rows.tobytes())))
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"rows": b""}, "rows"),
+        ({"rows": b"\0" * 35}, "rows"),
+        ({"lanes": ()}, "lanes"),
+        ({"target_lane": 2}, "target_lane"),
+        ({"target_lane": -1}, "target_lane"),
+        ({"target_speed_mps": math.nan}, "non-finite"),
+        ({"layout": "rows/2"}, "layout"),
+    ],
+)
+def test_an_observation_that_makes_no_sense_is_refused(changes: dict[str, Any], why: str) -> None:
+    with pytest.raises(Fault, match=why):
+        decode(OBSERVATION, encode(observation(**changes)))
+
+
+def test_rows_come_back_as_a_matrix() -> None:
+    rows = rows_of(decode(OBSERVATION, encode(observation(4))))
+    assert rows.shape == (4, WIDTH)
+    assert rows[1, 0] == WIDTH
+
+
+@CALM
+@given(payload=st.binary(max_size=600) | st.text(max_size=600).map(str.encode))
+def test_a_command_is_clean_text_or_a_fault(payload: bytes) -> None:
+    try:
+        command = decode_command(payload, fallback_id=7, epoch=0, now_ns=0)
+    except Fault:
+        return
+    assert command.text == " ".join(command.text.split()) != ""
+    assert len(command.text) <= MAX_COMMAND_CHARS
+
+
+def test_plain_text_gets_the_fallback_id_and_a_struct_keeps_its_own() -> None:
+    plain = decode_command(b"  faster,\n please ", fallback_id=7, epoch=3, now_ns=9)
+    assert (plain.id, plain.epoch, plain.text) == (7, 3, "faster, please")
+    struct = encode(m.Command(epoch=0, stamp_ns=0, id=42, text="faster"))
+    assert decode_command(struct, fallback_id=7, epoch=3, now_ns=9).id == 42
+
+
+@pytest.mark.parametrize(
+    ("payload", "why"),
+    [
+        (b"", "empty"),
+        (b"  \n", "empty"),
+        (b"x" * 10_000, "10000 characters"),
+        (b"\xff\xfe", "UTF-8"),
+        (b"\x81", "UTF-8"),
+        (b"a\0b", "control"),
+    ],
+)
+def test_a_bad_command_is_refused_with_its_reason(payload: bytes, why: str) -> None:
+    with pytest.raises(Fault, match=why):
+        decode_command(payload, fallback_id=1, epoch=0, now_ns=0)

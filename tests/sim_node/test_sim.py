@@ -1,0 +1,326 @@
+"""The simulator: its executor, its world, its fail-safe, its process."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+from schemas.runtime.bus import BusConfig, open_bus
+from schemas.wire.codec import decode, encode, rows_of
+from schemas.wire.messages import Action, MetaAction, Observation
+from schemas.wire.topics import OBSERVATION, STATUS
+from sim_node import executor
+from sim_node.config import SimConfig
+from sim_node.node import FAILSAFE_BRAKE_MPS2, SimNode
+from sim_node.scenarios import SCENARIOS
+
+DT = 1 / 15
+GATES = [(-1e9, 1e9, -1e9, 0.0)] * 2
+
+
+def edit(
+    meta: MetaAction, speed: float = 5.0, lane: int = 1, previous: int = -1, goal: float = math.nan
+) -> tuple[float, int, int]:
+    return executor.edit_set_points(int(meta), speed, lane, previous, GATES, 0.0, goal, 0.0, 8.0)
+
+
+def act(
+    node: SimNode,
+    meta: MetaAction = MetaAction.CRUISE,
+    tick: int | None = None,
+    epoch: int | None = None,
+    goal: float | None = None,
+) -> Action:
+    return Action(
+        epoch=node.epoch if epoch is None else epoch, stamp_ns=0, source="policy", meta_action=int(meta),
+        answers_tick=node.tick if tick is None else tick, speed_goal_mps=goal)  # fmt: skip
+
+
+def fresh(seed: int = 0) -> SimNode:
+    node = SimNode(SimConfig(seed=seed))
+    node.reset(7)
+    return node
+
+
+def test_speed_steps_are_inverse_of_each_other() -> None:
+    up = edit(MetaAction.SPEED_UP)
+    assert up == (6.0, 1, -1)
+    assert edit(MetaAction.SLOW_DOWN, *up) == (5.0, 1, -1)
+
+
+def test_speed_steps_stay_within_the_scenario() -> None:
+    assert edit(MetaAction.SPEED_UP, 7.5)[0] == 8.0
+    assert edit(MetaAction.SLOW_DOWN, 0.5)[0] == 0.0
+
+
+@pytest.mark.parametrize(("meta", "start"), [(MetaAction.SPEED_UP, 4.9), (MetaAction.SLOW_DOWN, 6.1)])
+def test_a_step_towards_a_goal_stops_exactly_at_it(meta: MetaAction, start: float) -> None:
+    speed = start
+    for _ in range(2):
+        before, speed = speed, edit(meta, speed, goal=5.5)[0]
+        if speed == 5.5:
+            break
+        assert abs(before - speed) == pytest.approx(1.0)
+    assert speed == 5.5
+
+
+def test_a_goal_does_not_stop_a_step_away_from_it() -> None:
+    assert edit(MetaAction.SLOW_DOWN, 5.0, goal=5.5)[0] == 4.0
+
+
+def test_a_lane_action_starts_one_change_and_repeating_it_changes_nothing() -> None:
+    left = edit(MetaAction.LEFT)
+    assert left == (5.0, 0, 1)
+    assert edit(MetaAction.LEFT, *left) == left
+    assert edit(MetaAction.LEFT, lane=0) == (5.0, 0, -1)
+    assert edit(MetaAction.RIGHT, lane=1) == (5.0, 1, -1)
+
+
+def test_the_opposite_lane_action_aborts_a_change() -> None:
+    assert edit(MetaAction.RIGHT, lane=0, previous=1) == (5.0, 1, 0)
+    assert edit(MetaAction.LEFT, lane=1, previous=0) == (5.0, 0, 1)
+
+
+def test_an_emergency_brake_sets_nothing() -> None:
+    assert edit(MetaAction.EMERGENCY_BRAKE, lane=0, previous=1) == (5.0, 0, 1)
+
+
+@pytest.mark.parametrize("speed", [4.0, 5.0, 8.0, 15.0, 25.0])
+@pytest.mark.parametrize("y_target", [0.0, 4.0])
+def test_a_lane_change_is_done_within_3_s_and_does_not_overshoot(speed: float, y_target: float) -> None:
+    x, y, heading = 0.0, 4.0 - y_target, 0.0
+    start, side, done_s, fastest = y, math.copysign(1.0, y_target - y), math.inf, 0.0
+    for k in range(1, 120):
+        slip = math.atan(0.5 * math.tan(executor.steering_command(y, heading, speed, y_target, 0.0)))
+        vy = speed * math.sin(heading + slip)
+        x, y = x + speed * math.cos(heading + slip) * DT, y + vy * DT
+        heading += speed * math.sin(slip) / 2.5 * DT
+        fastest = max(fastest, abs(vy))
+        assert side * (y - y_target) < 0.3
+        if executor.change_finished(y, y_target):
+            done_s = min(done_s, k * DT)
+    assert abs(start - y_target) == 4.0
+    assert 1.5 < done_s < 3.0
+    assert fastest <= 2.5 + 1e-9
+    assert abs(y - y_target) < 0.05
+
+
+def test_a_standing_car_does_not_steer() -> None:
+    assert executor.steering_command(4.0, 0.0, 0.4, 0.0, 0.0) == 0.0
+
+
+def test_acceleration_and_jerk_are_bounded_whatever_is_asked() -> None:
+    rng = np.random.default_rng(3)
+    speed, last, target = 5.0, 0.0, 5.0
+    for k in range(3000):
+        if k % 20 == 0:
+            target = float(rng.uniform(0.0, 25.0))
+        accel = executor.acceleration_command(speed, target, last, int(MetaAction.CRUISE), DT)
+        assert -6.0 <= accel <= 3.0
+        if speed > 0.5:  # stopping itself ends a braking at once
+            released = last < -executor.COMFORT_BRAKE_MPS2
+            up = executor.BRAKE_RELEASE_JERK_MPS3 if released else executor.JERK_UP_MPS3
+            assert -4.0 - 1e-9 <= (accel - last) / DT <= up + 1e-9
+        speed, last = speed + accel * DT, accel
+        assert speed >= -1e-9
+
+
+def test_an_emergency_brakes_fully_at_once_and_stops_without_rolling_back() -> None:
+    speed, accel = 5.0, 2.0
+    accel = executor.acceleration_command(speed, 8.0, accel, int(MetaAction.EMERGENCY_BRAKE), DT)
+    assert accel == -6.0
+    for _ in range(30):
+        accel = executor.acceleration_command(speed, 8.0, accel, int(MetaAction.EMERGENCY_BRAKE), DT)
+        speed += accel * DT
+    assert speed == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_speed_change_does_not_overshoot() -> None:
+    speed, accel, slowest = 8.0, 0.0, 8.0
+    for _ in range(200):
+        accel = executor.acceleration_command(speed, 3.0, accel, int(MetaAction.CRUISE), DT)
+        speed += accel * DT
+        slowest = min(slowest, speed)
+    assert slowest > 2.95
+    assert speed == pytest.approx(3.0, abs=0.01)
+
+
+def test_a_spawn_is_as_the_scenario_says() -> None:
+    scenario = SCENARIOS["two-way"]
+    for seed in range(50):
+        s = scenario.spawn(np.random.default_rng(seed))
+        assert 4 <= len(s.x) <= scenario.vehicles_max
+        assert (s.x[0], s.lane[0]) == (400.0, 1)
+        assert 5.0 <= s.speed[0] <= 7.0
+        assert 18.0 <= s.x[1] - s.x[0] <= 30.0
+        oncoming = s.direction < 0
+        assert (s.lane[oncoming] == 0).all()
+        assert (s.lane[~oncoming] == 1).all()
+        assert 60.0 <= s.x[oncoming].min() - s.x[0] <= 140.0
+        assert np.sort(s.x[~oncoming])[0] == s.x[~oncoming][-1] < s.x[0] - 19.9
+
+
+def test_the_same_seed_gives_the_same_world() -> None:
+    metas = [1, 3, 1, 2, 2, 1, 4, 1, 0, 1] * 6
+    runs = []
+    for _ in range(2):
+        env = gymnasium.make("sim_node:FastSlow-two-way-v0")
+        first, _ = env.reset(seed=11)
+        assert env.observation_space.contains(first)
+        steps = [env.step(meta) for meta in metas]
+        runs.append((first, np.array([s[0] for s in steps]), [s[1:4] for s in steps]))
+    np.testing.assert_array_equal(runs[0][0], runs[1][0])
+    np.testing.assert_array_equal(runs[0][1], runs[1][1])
+    assert runs[0][2] == runs[1][2]
+
+
+def test_an_observation_shows_the_ego_first_and_fits_in_a_tick() -> None:
+    node = fresh()
+    observation = node.step(act(node), 5)
+    payload = encode(observation)
+    assert len(payload) < 3000
+    assert decode(OBSERVATION, payload) == observation
+    rows = rows_of(observation)
+    assert rows[0, 0] == 0
+    assert rows[0, 8] == 1
+    distance = np.hypot(*(rows[:, 1:3] - rows[0, 1:3]).T)
+    assert (np.diff(distance) >= 0).all()
+    oncoming = rows[rows[:, 8] == 0]
+    assert len(oncoming) >= 1
+    assert (oncoming[:, 3] < 0).all()
+    assert [lane.kind for lane in observation.lanes] == ["oncoming", "main"]
+    assert (observation.tick, observation.applied_tick, observation.stamp_ns, observation.epoch) == (1, 0, 5, 7)
+
+
+def test_an_action_is_applied_once() -> None:
+    node = fresh()
+    speed = node.step(act(node), 0).target_speed_mps
+    action = act(node, MetaAction.SPEED_UP)
+    assert node.step(action, 0).target_speed_mps == pytest.approx(speed + 1.0)
+    assert node.step(action, 0).target_speed_mps == pytest.approx(speed + 1.0)
+    assert node.metrics.holds == 1
+
+
+def test_a_speed_goal_of_an_action_is_held_exactly() -> None:
+    node = fresh()
+    observation: Observation | None = None
+    for _ in range(5):
+        observation = node.step(act(node, MetaAction.SPEED_UP, goal=6.5), 0)
+        if observation.target_speed_mps == 6.5:
+            return
+    pytest.fail(f"target speed {observation and observation.target_speed_mps}")
+
+
+@pytest.mark.parametrize("kind", ["none", "old tick", "future tick", "old epoch", "unknown action"])
+def test_without_a_usable_action_the_car_holds_two_ticks_and_then_brakes(kind: str) -> None:
+    node = fresh()
+    for _ in range(5):
+        before = node.step(act(node), 0)
+    speed = node.speed_mps
+    for k in range(20):
+        useless = {
+            "none": None,
+            "old tick": act(node, MetaAction.LEFT, tick=node.tick - 3),
+            "future tick": act(node, MetaAction.LEFT, tick=node.tick + 1),
+            "old epoch": act(node, MetaAction.LEFT, epoch=6),
+            "unknown action": Action(epoch=7, stamp_ns=0, source="policy", answers_tick=node.tick, meta_action=9),
+        }[kind]
+        now = node.step(useless, 0)
+        assert now.target_lane == before.target_lane
+        assert now.acceleration_mps2 >= -FAILSAFE_BRAKE_MPS2 - 1e-6
+        if k < 2:
+            assert now.target_speed_mps == before.target_speed_mps
+    assert (node.metrics.holds, node.metrics.failsafes) == (2, 18)
+    assert node.speed_mps < speed - 1.0
+
+
+def test_a_crash_is_counted_and_followed_by_a_new_epoch() -> None:
+    node = fresh()
+    for _ in range(600):
+        observation = node.step(act(node, MetaAction.SPEED_UP), 0)
+        if observation.crashed:
+            break
+    assert node.metrics.collisions == 1
+    observation = node.step(None, 9)
+    assert (observation.epoch, observation.tick, observation.crashed) == (8, 0, False)
+    event = node.take_events()[0]
+    assert (event.kind, event.epoch, event.rule) == ("world", 8, "collision")
+    assert node.take_events() == []
+    assert node.metrics.episodes == 2
+
+
+def test_a_pass_counts_once_the_ego_is_back_in_its_lane() -> None:
+    node = fresh()
+    road = node._env.road
+    road.vehicles = [v for v in road.vehicles if v.number < 2]  # the ego and the first lead
+    lead = road.vehicles[1]
+    node.step(act(node, MetaAction.LEFT), 0)
+    for _ in range(400):
+        node.step(act(node, MetaAction.SPEED_UP), 0)
+        if node._env.ego.position[0] > lead.position[0] + 12.0:
+            break
+    assert (node.lane, node.metrics.passed) == (0, 0)
+    node.step(act(node, MetaAction.RIGHT), 0)
+    assert node.metrics.passed == 0
+    for _ in range(60):
+        node.step(act(node), 0)
+    assert (node.lane, node.metrics.passed, node.metrics.collisions) == (1, 1, 0)
+
+
+@pytest.mark.parametrize("bad", [{"scenario": "moon"}, {"seed": -1}, {"duration_s": 0.0}, {"hz": 0}])
+def test_a_bad_configuration_is_refused(bad: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        SimConfig(**bad)  # type: ignore[arg-type]
+
+
+def start(socket: Path, **config: object) -> subprocess.Popen[str]:
+    text = json.dumps({"bus": {"listen": [f"unixsock-stream/{socket}"]}, **config})
+    return subprocess.Popen([sys.executable, "-m", "sim_node", text], stderr=subprocess.PIPE, text=True,
+                            env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])})  # fmt: skip
+
+
+@pytest.mark.parametrize("realtime", ["off", "auto"])
+def test_the_process_ends_at_sigterm_and_says_nothing_else(realtime: str) -> None:
+    with tempfile.TemporaryDirectory(prefix="fs") as folder:  # a socket's path is short
+        process = start(Path(folder) / "s", realtime=realtime)
+        assert process.stderr is not None
+        ready = json.loads(process.stderr.readline())
+        assert ready["event"] == "ready"
+        process.send_signal(signal.SIGTERM)
+        began = time.monotonic()
+        _, rest = process.communicate(timeout=5)
+        assert process.returncode == 0
+        assert time.monotonic() - began < 2.0
+        assert "Traceback" not in rest
+
+
+def test_the_process_ticks_without_listeners_and_publishes_its_final_figures() -> None:
+    with tempfile.TemporaryDirectory(prefix="fs") as folder:
+        process = start(Path(folder) / "s", duration_s=2.0)
+        assert process.stderr is not None
+        assert "ready" in process.stderr.readline()  # it listens from here on
+        with open_bus(BusConfig(connect=(f"unixsock-stream/{folder}/s",))) as bus:
+            seen, beats = bus.subscribe(OBSERVATION), bus.subscribe(STATUS)
+            process.communicate(timeout=15)
+            last, status = seen.peek(), beats.peek()
+    assert process.returncode == 0
+    assert last is not None
+    assert last.tick >= 25
+    assert status is not None
+    assert status.state == "stopping"
+    wanted = {"tick", "epoch", "speed_mps", "lane", "ticks", "answered", "missed", "collisions", "rtt_p50_us",
+              "rtt_p99_us", "skipped", "episodes", "failsafes"}  # fmt: skip
+    assert wanted <= status.figures.keys()
+    assert status.figures["ticks"] + status.figures["skipped"] == 30
+    assert status.figures["missed"] >= 28

@@ -1,0 +1,90 @@
+"""The adapter of the embedded model: what it is trained on is what the engine will ask it."""
+
+from __future__ import annotations
+
+import json
+import random
+import urllib.request
+from collections.abc import Iterator
+from typing import Any
+
+import gguf
+import pytest
+import torch
+
+from deploy.lab.interpret import embedded_server
+from deploy.run.processes import free_port
+from slow_node.llm.embedded import weights_path
+from slow_node.planning.prompt import adapted_prompt
+from slow_node.training.adapt import END, Llama, answer_of, batches, loss_of, rendered, tokenizer_of
+from slow_node.training.generate import Sample
+
+TEXTS = ("I'm late, step on it!", "non, à 90 km/h", 'say "<|im_end|>" and go left', "快一点 2025")
+FASTER = {
+    "outcome": "directive",
+    "speed": "faster",
+    "lane": "none",
+    "gap": "none",
+    "overtake": "none",
+    "cancel": "false",
+    "number": "none",
+    "language": "en",
+}
+
+
+@pytest.fixture(scope="module")
+def reader() -> Any:
+    return gguf.GGUFReader(weights_path())
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[str]:
+    port = free_port()
+    process = embedded_server(port, 1, adapter=False)
+    assert process is not None
+    yield f"http://127.0.0.1:{port}"
+    process.terminate()
+    process.wait(30)
+
+
+def post(url: str, body: dict[str, Any]) -> Any:
+    request = urllib.request.Request(url, json.dumps(body).encode(), {"content-type": "application/json"})
+    with urllib.request.urlopen(request, timeout=30) as answer:
+        return json.load(answer)
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_the_chat_that_is_learnt_from_is_the_one_that_the_engine_writes(text: str, server: str) -> None:
+    assert post(f"{server}/apply-template", {"messages": adapted_prompt(text)})["prompt"] == rendered(text)
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_its_tokens_are_the_engines(text: str, server: str, reader: Any) -> None:
+    chat = rendered(text) + answer_of(FASTER) + END
+    theirs = post(f"{server}/tokenize", {"content": chat, "add_special": True, "parse_special": True})["tokens"]
+    assert tokenizer_of(reader).encode(chat, add_special_tokens=False).ids == theirs
+
+
+def test_before_it_has_learnt_anything_it_is_the_model_of_the_package(reader: Any) -> None:
+    tokenizer = tokenizer_of(reader)
+    ids = torch.tensor([tokenizer.encode("The capital of France is").ids])
+    last = torch.tensor([[False] * (ids.shape[1] - 1) + [True]])
+    with torch.no_grad():
+        assert tokenizer.decode(Llama(reader)(ids, last).argmax(-1).tolist()).strip() == "Paris"
+
+
+def test_only_the_tokens_of_the_answer_count_and_each_is_told_from_those_before_it(reader: Any) -> None:
+    samples = [Sample(text, "en", FASTER) for text in ("go faster", "please go a good deal faster than now")]
+    [(ids, answer)] = batches(samples, tokenizer_of(reader), random.Random(0))
+    said = [tokenizer_of(reader).decode(row[mask].tolist()) for row, mask in zip(ids, answer, strict=True)]
+    assert said == ['{"outcome":"directive","speed":"faster"}'] * 2
+
+    def knows_what_follows(seen: Any, wanted: Any) -> Any:
+        assert torch.equal(seen, ids[:, :-1])
+        return 1e4 * torch.nn.functional.one_hot(ids[:, 1:][wanted], int(ids.max()) + 1).float()
+
+    assert float(loss_of(knows_what_follows, ids, answer)) == pytest.approx(0.0)
+
+
+def test_numbers_are_left_to_the_rules() -> None:
+    assert answer_of({**FASTER, "speed": "none", "number": "speed"}) == '{"outcome":"directive"}'

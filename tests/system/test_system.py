@@ -1,0 +1,87 @@
+"""The main job, with the real processes: simulator, fast node, slow node, embedded model, supervisor, zenoh."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.scripted import model_of
+
+RUN = [sys.executable, "-m", "deploy", "run", "--port", "0", "--json", "--seed", "3"]
+ROOT = Path(__file__).parents[2]
+
+
+HURRY = "I'm in a hurry to get to work, I want to drive faster"
+
+
+def start(tmp_path: Path, *more: str, **model_env: str) -> subprocess.Popen[str]:
+    env = {k: v for k, v in os.environ.items() if not k.startswith("OPENAI_")}
+    env |= {"PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(tmp_path), **model_env}
+    return subprocess.Popen(
+        [*RUN, *more], cwd=tmp_path, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
+
+
+def child_of(parent: int, module: str, timeout_s: float = 30.0) -> int:
+    """The pid of a running child process `python -m module`."""
+    until = time.monotonic() + timeout_s
+    while time.monotonic() < until:
+        for entry in Path("/proc").glob("[0-9]*"):
+            try:
+                words = (entry / "cmdline").read_bytes().split(b"\0")
+                ppid = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
+            except OSError:
+                continue
+            if ppid == parent and b"-m" in words and words[words.index(b"-m") + 1] == module.encode():
+                return int(entry.name)
+        time.sleep(0.1)
+    raise AssertionError(f"no process {module}")
+
+
+def hurried(prompt: str) -> str:
+    """What the scripted endpoint makes of anything: an overtake."""
+    return json.dumps({"reasoning": "in a hurry", "outcome": "directive", "speed": "faster", "overtake": True})
+
+
+@pytest.fixture(params=["embedded", "endpoint"])
+def model_env(request: pytest.FixtureRequest) -> Iterator[dict[str, str]]:
+    with model_of(request.param, hurried) as env:
+        yield env
+
+
+@pytest.mark.timeout(120)
+def test_a_passenger_in_a_hurry_is_taken_past_the_slow_car_as_in_the_papers_case_study(tmp_path, model_env):
+    running = start(
+        tmp_path, "--scenario", "two-way-case", "--duration", "32", "--say", HURRY, "--say-at", "0.6", **model_env
+    )
+    out, _ = running.communicate(timeout=110)
+    summary = json.loads(out)
+    command = summary["commands"][0]
+    assert running.returncode == 0
+    assert (summary["collisions"], command["outcome"]) == (0, "fulfilled")
+    assert command["heard_s"] <= command["issued_s"] <= command["fulfilled_s"]
+    assert [lane["lane"] for lane in summary["lanes"] if lane["there"]] == [1, 0, 1]
+    assert any(e["rule"] == "rear gap in lane" for e in summary["events"] if e["kind"] == "delayed")
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("victim", ["slow_node", "slow_node.llm.embedded"])
+def test_killing_the_slow_side_in_mid_thought_costs_no_tick_and_it_comes_back(tmp_path, victim):
+    running = start(tmp_path, "--duration", "20", "--say", "please overtake the car ahead", "--say-at", "6")
+    slow = child_of(running.pid, victim)
+    time.sleep(10)
+    os.kill(slow, signal.SIGKILL)
+    time.sleep(4)
+    assert child_of(running.pid, victim) != slow
+    out, _ = running.communicate(timeout=90)
+    summary = json.loads(out)
+    assert summary["restarts"] == 1
+    assert summary["ticks"] - summary["answered"] <= 1
