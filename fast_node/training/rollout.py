@@ -6,9 +6,9 @@ Axes: S scenes, V vehicles, L lanes.
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import FunctionType
 from typing import Any, Protocol
 
 import numba
@@ -32,41 +32,22 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 
-def _copy_of(module: Any) -> Any:
-    """A second copy of a module, to put compiled functions into: the real one stays plain Python."""
-    spec = importlib.util.spec_from_file_location(
-        f"fast_node._compiled_{module.__name__.split('.')[-1]}", module.__file__
-    )
-    assert spec is not None
-    assert spec.loader is not None
-    copy = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(copy)
-    return copy
+def _compiled(function: Any, done: dict[Any, Any]) -> Any:
+    """A compiled copy of a function and of all of ours that it calls; the originals stay plain Python."""
+    if function not in done:
+        names = {
+            name: _compiled(value, done) if isinstance(value, FunctionType) else value
+            for name, value in function.__globals__.items()
+            if name in function.__code__.co_names
+        }
+        done[function] = numba.njit(FunctionType(function.__code__, names, function.__name__, function.__defaults__))
+    return done[function]
 
 
-def _compiled_mask() -> Any:
-    """`close_actions` compiled from the very source that drives."""
-    copy = _copy_of(mask)
-    for name in ("gap_m", "rss_same_direction_m", "rss_opposite_m", "rss_lateral_m"):
-        setattr(copy, name, numba.njit(getattr(measures, name)))
-    for name in (
-        "allowed_speed",
-        "follower_gap",
-        "pass_time_s",
-        "half_width",
-        "survey",
-        "entry",
-        "ahead_of",
-        "passing",
-    ):
-        setattr(copy, name, numba.njit(getattr(copy, name)))
-    return numba.njit(copy.close_actions)
-
-
-_close = _compiled_mask()
-_wished_lane = numba.njit(wish.wished_lane)
+_close = _compiled(mask.close_actions, {})
+_wished_lane = _compiled(wish.wished_lane, {})
 _choose = numba.njit(choice.choose)
-_narrow = numba.njit(choice.narrow)
+_narrow = _compiled(choice.narrow, {})
 _ttc = numba.njit(measures.ttc_s)
 
 

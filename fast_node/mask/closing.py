@@ -1,0 +1,60 @@
+"""The table of contents: every claim of the mask in turn, over one situation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fast_node.mask.changing import change_lanes, settle_change
+from fast_node.mask.gaps import keep_below, keep_gaps
+from fast_node.mask.lane_end import speed_before_end, stop_before_end
+from fast_node.mask.neighbours import survey
+from fast_node.mask.passing import settle_pass
+from fast_node.mask.vocabulary import LANE_ENDS, OPEN, SPEED_FOR_GAP, Preset, Situation
+from schemas.driving.road import ID
+from schemas.wire.messages import POLICY_ACTIONS
+
+
+def close_actions(
+    rows: Any,
+    lanes: Any,
+    target_speed: float,
+    target_lane: int,
+    previous_lane: int,
+    sight: float,
+    near: Any,
+    rule: Any,
+    vehicle: Any,
+    p: Preset,
+) -> int:
+    """Write the reason that closes each action (`OPEN`: none) and the vehicle's id; return how many actions are open.
+
+    rows: (V, 9) as `ROW_COLUMNS`, ego first, id < 0 for an absent vehicle; lanes: (L, 8) as `lane_table`; sight [m];
+    near: (3 L,) output of `survey`; rule, vehicle: (6,) outputs. EMERGENCY_BRAKE is always open. Vehicle -1 beside a
+    reason: none that is seen, but the road itself, the change under way, or a car assumed beyond sight.
+    """
+    for a in range(len(rule)):
+        rule[a], vehicle[a] = OPEN, -1
+    road_end = survey(rows, lanes, near)
+    s = Situation(rows, lanes, near, target_speed, target_lane, previous_lane, sight, road_end, p)
+    change_lanes(s, rule, vehicle)
+    ceiling, lead = keep_gaps(s, rule, vehicle)
+    end_ceiling = speed_before_end(s)
+    if end_ceiling < ceiling:
+        keep_below(s, end_ceiling, LANE_ENDS, -1, rule, vehicle)
+    else:
+        keep_below(s, ceiling, SPEED_FOR_GAP, lead, rule, vehicle)
+    stop_before_end(s, rule, vehicle)
+    settle_change(s, rule, vehicle)
+    settle_pass(s, rule, vehicle)
+    return name_vehicles(rows, rule, vehicle)
+
+
+def name_vehicles(rows: Any, rule: Any, vehicle: Any) -> int:
+    """Turn row indices in `vehicle` into ids; return how many actions are open, EMERGENCY_BRAKE among them."""
+    opened = 1
+    for a in range(POLICY_ACTIONS):
+        if vehicle[a] >= 0:
+            vehicle[a] = int(rows[int(vehicle[a])][ID])
+        if rule[a] == OPEN:
+            opened += 1
+    return opened

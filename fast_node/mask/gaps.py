@@ -1,0 +1,112 @@
+"""Claim: the ego can always stop behind every car ahead that is, or comes, in its way.
+
+RSS safe distances (Shalev-Shwartz et al. 2017): along the road Definition 1, sideways Definition 6. As in RSS a car is
+in the way where it is too close both along the road and sideways. Assumed: the ego brakes with `ego_brake` after
+`reaction_s`, a lead with at most `lead_brake`, and both keep their sideways acceleration within `side_accel` and
+`side_brake`; a car that crosses into the ego's lane within `CUT_IN_S` is in it already.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from fast_node.mask.neighbours import CUT_IN_MPS, CUT_IN_S, half_width
+from fast_node.mask.vocabulary import (
+    CRUISE,
+    LEAD,
+    LEFT,
+    OPEN,
+    SLOW_DOWN,
+    SPEED_UP,
+    Preset,
+    Situation,
+    back_action,
+    close,
+    close_again,
+)
+from schemas.driving.measures import gap_m, rss_lateral_m, rss_same_direction_m
+from schemas.driving.road import AGAINST_MPS, ID, LANE, LANE_END, LANE_Y, LENGTH, VX, VY, WIDTH, X, Y
+from schemas.wire.messages import POLICY_ACTIONS
+
+FOLLOW_GAIN = 0.5
+LEAVE_M = 6.0
+"""So much more room is kept to a car ahead in a lane that ends: it may stop there, and then one must get by."""
+
+
+def allowed_speed(gap: float, lead_mps: float, p: Preset) -> float:
+    """Highest speed set-point that a gap admits: rising from the lead's at the following distance with spare room,
+    and never more than what RSS lets the ego brake from."""
+    follow = lead_mps + FOLLOW_GAIN * (gap - p.standstill_m - p.follow_s * lead_mps)
+    lag = p.ceiling_reaction_s * p.ceiling_brake
+    room = max(gap - 2.0, 0.0)
+    stop = (
+        math.sqrt(lag * lag + 2.0 * p.ceiling_brake * room + p.ceiling_brake / p.lead_brake * lead_mps * lead_mps) - lag
+    )
+    return max(0.0, min(follow, stop))
+
+
+def aside_m(ego: Any, row: Any) -> float:
+    """Distance [m] between the ego and another car, side to side; negative where they overlap across the road."""
+    apart: float = abs(row[Y] - ego[Y]) - half_width(row) - half_width(ego)
+    return apart
+
+
+def side_gap(ego: Any, row: Any, p: Preset) -> float:
+    """Distance [m], side to side, from which the ego and another car can both stay apart (RSS Definition 6)."""
+    towards = 1.0 if row[Y] > ego[Y] else -1.0
+    return rss_lateral_m(towards * ego[VY], -towards * row[VY], p.reaction_s, p.side_accel, p.side_brake, p.sway_m)
+
+
+def keep_gaps(s: Situation, rule: Any, vehicle: Any) -> tuple[float, int]:
+    """Close what the cars ahead make unsafe at once; return the highest set-point [m/s] that they admit, at most a step
+    above today's, and the row of the car that it is for (-1: none)."""
+    p, ego = s.preset, s.rows[0]
+    x, v, lane_y = ego[X], ego[VX], s.lanes[s.lane][LANE_Y]
+    lane_ends = s.lanes[s.lane][LANE_END] < s.road_end
+    ceiling, slower = s.target_speed + 1.0, -1  # a higher one closes nothing
+    for i in range(1, len(s.rows)):
+        row = s.rows[i]
+        if row[ID] < 0 or row[X] < x or row[VX] < AGAINST_MPS:
+            continue
+        leaving = int(row[LANE]) != s.lane
+        if leaving and row[VY] * (lane_y - row[Y]) > 0.0 and abs(row[VY]) > CUT_IN_MPS:
+            leaving = abs(lane_y - row[Y]) - CUT_IN_S * abs(row[VY]) >= 0.5 * (row[WIDTH] + ego[WIDTH])
+        gap, lead_v = gap_m(x, row[X], ego[LENGTH], row[LENGTH]), max(row[VX], 0.0)
+        need = rss_same_direction_m(v, lead_v, p.reaction_s, 0.0, p.ego_brake + 1.0, p.lead_brake)
+        too_near = gap < (0.5 if leaving else 1.0) + need
+        spare = gap - LEAVE_M if gap > LEAVE_M and lane_ends else gap
+        limit = lead_v + (gap - 1.0) / 1.5 if leaving else allowed_speed(spare, lead_v, p)
+        if (not too_near and limit >= ceiling) or (leaving and aside_m(ego, row) >= side_gap(ego, row, p)):
+            continue
+        if too_near:
+            keep_clear(s, i, leaving, rule, vehicle)
+        if limit < ceiling:
+            ceiling, slower = limit, i
+    return ceiling, slower
+
+
+def keep_clear(s: Situation, i: int, leaving: bool, rule: Any, vehicle: Any) -> None:
+    """Close what leads nearer to the car of row `i`, which is too near along the road, if it is so sideways, too.
+
+    leaving: it is only in the way as long as the ego has not left the lane.
+    """
+    ego, row, p = s.rows[0], s.rows[i], s.preset
+    aside = aside_m(ego, row)
+    if aside >= side_gap(ego, row, p):
+        return
+    # While the two are still apart sideways the change may be given up; leaving a lane may go on, but not back behind
+    # a car that is too close there.
+    back, apart = back_action(s), aside > p.sway_m and s.previous >= 0 and int(ego[LANE]) == s.previous
+    for a in range(POLICY_ACTIONS):
+        if a != SLOW_DOWN and not (a >= LEFT and (leaving or apart) and not (leaving and a == back)):
+            close(rule, vehicle, a, LEAD, i)
+    close_again(rule, vehicle, SLOW_DOWN, LEAD, i)
+
+
+def keep_below(s: Situation, ceiling: float, reason: int, who: int, rule: Any, vehicle: Any) -> None:
+    """Close the set-points above `ceiling` [m/s], for `reason` and row `who`."""
+    if rule[CRUISE] == OPEN and s.target_speed > ceiling + 0.01:
+        rule[CRUISE], vehicle[CRUISE] = reason, who
+    if rule[SPEED_UP] == OPEN and s.target_speed + 1.0 > ceiling:
+        rule[SPEED_UP], vehicle[SPEED_UP] = reason, who

@@ -1,0 +1,55 @@
+"""The mask as a whole."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+
+from fast_node.mask import OPEN, PRESETS, RULES, VERSION
+from schemas.wire.messages import MetaAction
+from tests import mask_behaviour
+from tests.mask_scenes import SIGHT_M, judge, presets, scenes
+
+
+@settings(max_examples=300, deadline=None)
+@given(scenes(), presets)
+def test_emergency_braking_is_always_open_and_every_closure_has_a_rule_and_a_vehicle_that_is_there(scene, preset):
+    rule, vehicle = judge(scene.rows, scene.lanes, scene.target_speed, scene.lane, scene.previous, PRESETS[preset])
+    seen = {int(row[0]) for row in scene.rows[1:]}
+    assert rule[MetaAction.EMERGENCY_BRAKE] == OPEN
+    assert all(RULES[r] for r in rule if r != OPEN)
+    assert all(v == -1 or (r != OPEN and v in seen) for r, v in zip(rule, vehicle, strict=True))
+
+
+BEHAVIOUR = {"mask/7": "f673803ac4d68448"}
+"""What the mask of a version does. A policy learns behind one mask and is driven behind no other."""
+
+
+def test_the_mask_does_what_its_version_names():
+    assert {VERSION: mask_behaviour.digest()} == BEHAVIOUR, "the mask behaves differently: bump VERSION and train anew"
+
+
+@settings(max_examples=400, deadline=None)
+@given(scenes(), presets)
+def test_the_compiled_mask_of_training_closes_what_the_driving_mask_closes(scene, preset):
+    import numba
+
+    from fast_node.training import rollout
+
+    assert isinstance(rollout._close, numba.core.registry.CPUDispatcher)
+    rule, vehicle, near = np.zeros(6, np.int64), np.zeros(6, np.int64), np.zeros(3 * len(scene.lanes), np.int64)
+    rollout._close(
+        np.array(scene.rows),
+        np.array(scene.lanes),
+        scene.target_speed,
+        scene.lane,
+        scene.previous,
+        SIGHT_M,
+        near,
+        rule,
+        vehicle,
+        PRESETS[preset],
+    )
+    assert (rule.tolist(), vehicle.tolist()) == judge(
+        scene.rows, scene.lanes, scene.target_speed, scene.lane, scene.previous, PRESETS[preset]
+    )

@@ -1,0 +1,123 @@
+"""The node, whatever comes in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import get_args
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fast_node.config import FastConfig
+from fast_node.mask import OPEN, PRESETS, lane_table
+from fast_node.node import FastNode
+from fast_node.policies.attention import load_policy
+from schemas.wire.codec import rows_of
+from schemas.wire.messages import Directive, Lane, Manoeuvre, MetaAction, Observation, Style
+from tests.mask_scenes import ROADS, SIGHT_M, Scene, judge, presets, scenes
+
+directives = st.none() | st.builds(
+    Directive,
+    epoch=st.sampled_from([1, 1, 1, 9]),
+    stamp_ns=st.just(0),
+    id=st.integers(0, 9),
+    command_id=st.integers(0, 3),
+    scene_tick=st.just(0),
+    manoeuvre=st.sampled_from(get_args(Manoeuvre)),
+    target_lane=st.none() | st.integers(-1, 5),
+    relative_lane=st.sampled_from([None, "left", "right"]),
+    target_speed_mps=st.none() | st.floats(-5, 60),
+    headway_s=st.none() | st.floats(0, 6),
+    style=st.sampled_from(get_args(Style)),
+    ttl_s=st.sampled_from([0.0, 1.0, 30.0]),
+)
+
+BROKEN = [(math.nan,) * 5, (math.inf, 0.0, 0.0, 0.0, 0.0), (0.0, 1.0), ()]
+"""Logits of a policy that fails."""
+
+KINDS = {"two-way": ("oncoming", "main"), "highway": ("main",) * 4, "merge": ("main", "main", "ramp")}
+
+
+def seen_at(tick: int, scene: Scene) -> Observation:
+    kinds = KINDS[next(n for n, table in ROADS.items() if table is scene.lanes)]
+    lanes = tuple(
+        Lane(
+            y_m=b[0],
+            start_m=b[1],
+            end_m=b[2],
+            direction=int(b[3]),
+            width_m=b[4],
+            speed_limit_mps=b[5],
+            change_from_m=b[6],
+            kind=kind,
+        )
+        for b, kind in zip(scene.lanes, kinds, strict=True)
+    )
+    return Observation(
+        epoch=1,
+        stamp_ns=0,
+        tick=tick,
+        scenario="",
+        lanes=lanes,
+        rows=np.array(scene.rows, np.float32).tobytes(),
+        target_lane=scene.lane,
+        target_speed_mps=scene.target_speed,
+        previous_lane=scene.previous,
+        sight_m=SIGHT_M,
+    )
+
+
+class Failing:
+    """The shipped policy, but for the ticks at which it has something else to say."""
+
+    def __init__(self) -> None:
+        self._policy = load_policy()
+        self.instead: Sequence[float] | None = None
+
+    def logits(self, x):
+        return self._policy.logits(x) if self.instead is None else np.array(self.instead)
+
+
+@pytest.fixture(scope="module")
+def failing() -> Failing:
+    return Failing()
+
+
+@settings(max_examples=400, deadline=None)
+@given(
+    presets,
+    st.lists(
+        st.tuples(
+            scenes(),
+            directives,
+            st.none() | st.sampled_from(BROKEN) | st.tuples(*[st.floats(-5, 5)] * 5),
+            st.integers(1, 20),
+            st.integers(0, 40),
+        ),
+        min_size=1,
+        max_size=3,
+    ),
+)
+def test_whatever_state_directive_and_policy_the_node_does_what_a_fresh_look_of_the_mask_leaves_open(
+    failing, preset, ticks
+):
+    node, tick = FastNode(FastConfig(), failing, PRESETS[preset]), 0
+    for scene, directive, instead, passed, now_s in ticks:
+        failing.instead, tick = instead, tick + passed
+        seen = seen_at(tick, scene)
+        action, _ = node.step(seen, directive, now_s * 10**9)
+        rule, _ = judge(
+            rows_of(seen).tolist(),
+            lane_table(seen.lanes),
+            scene.target_speed,
+            scene.lane,
+            scene.previous,
+            PRESETS[preset],
+        )
+        nothing_open = all(r != OPEN for r in rule[:5])
+        assert rule[action.meta_action] == OPEN, action
+        assert (action.meta_action == MetaAction.EMERGENCY_BRAKE) == nothing_open, action
+        assert action.source != "fallback" or instead in BROKEN, action

@@ -1,0 +1,242 @@
+"""Roads, cars and an ego that moves as the simulator moves it: what the tests of the mask are made of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import strategies as st
+
+from fast_node.mask import OPEN, PRESETS, RULES, Preset, close_actions
+from fast_node.mask.neighbours import half_width
+from schemas.wire.messages import MetaAction
+from sim_node import executor
+
+LANES = [(0.0, 0.0, 3000.0, -1.0, 4.0, 8.0, -1e9, 0.0), (4.0, 0.0, 3000.0, 1.0, 4.0, 8.0, -1e9, 0.0)]
+
+SIGHT_M = 250.0
+
+SIM = PRESETS["sim"]
+
+
+def car(number: int, x: float, lane: int, speed: float, y: float | None = None) -> list[float]:
+    return [float(number), x, 4.0 * lane if y is None else y, speed, 0.0, 0.0, 5.0, 2.0, float(lane)]
+
+
+def judge(
+    rows, lanes, target_speed: float, lane: int, previous: int = -1, preset: Preset = SIM
+) -> tuple[list[int], list[int]]:
+    rule, vehicle = [0] * 6, [0] * 6
+    near = [0] * (3 * len(lanes))
+    opened = close_actions(rows, lanes, target_speed, lane, previous, SIGHT_M, near, rule, vehicle, preset)
+    assert opened == sum(r == OPEN for r in rule)
+    return rule, vehicle
+
+
+def closed(rows: list[list[float]], *, target_speed: float = 5.0, lane: int = 1, previous: int = -1) -> dict[int, str]:
+    rule, _ = judge(rows, LANES, target_speed, lane, previous)
+    return {a: RULES[r] for a, r in enumerate(rule) if r != OPEN}
+
+
+HIGHWAY = [(4.0 * k, 0.0, 9000.0, 1.0, 4.0, 28.0, -1e9, 0.0) for k in range(4)]
+
+RAMP = [
+    (0.0, 0.0, 750.0, 1.0, 4.0, 20.0, -1e9, 0.0),
+    (4.0, 0.0, 750.0, 1.0, 4.0, 20.0, -1e9, 0.0),
+    (8.0, 0.0, 350.0, 1.0, 4.0, 20.0, 230.0, 1.0),
+]
+
+
+def closed_on(lanes, rows, lane: int, previous: int = -1, target_speed: float | None = None) -> dict[int, str]:
+    rule, _ = judge(rows, lanes, rows[0][3] if target_speed is None else target_speed, lane, previous)
+    return {a: RULES[r] for a, r in enumerate(rule) if r != OPEN}
+
+
+ROADS = {"two-way": LANES, "highway": HIGHWAY, "merge": RAMP}
+
+EGO_X_M = {"two-way": (500.0, 500.0), "highway": (500.0, 500.0), "merge": (200.0, 345.0)}
+
+
+class Scene(NamedTuple):
+    """All that the mask may read, but for the preset."""
+
+    lanes: list[tuple[float, ...]]
+    rows: list[list[float]]
+    target_speed: float
+    lane: int
+    previous: int
+
+
+def nearest_lane(lanes, y: float) -> int:
+    return min(range(len(lanes)), key=lambda k: abs(lanes[k][0] - y))
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> Scene:
+    """Any road, a change under way or none, cars anywhere on it, moving sideways and standing askew."""
+    name = draw(st.sampled_from(sorted(ROADS)))
+    lanes = ROADS[name]
+    top = 1.5 * lanes[-1][5]
+    aim = draw(st.integers(0, len(lanes) - 1))
+    previous = draw(st.sampled_from([-1, *(k for k in (aim - 1, aim + 1) if 0 <= k < len(lanes))]))
+    start_y = lanes[aim if previous < 0 else previous][0]
+    y = start_y + draw(st.floats(0.0, 1.0)) * (lanes[aim][0] - start_y)
+    sideways, askew = st.floats(-2.5, 2.5), st.floats(-0.6, 0.6)
+    changing = previous >= 0
+    rows = [
+        [
+            0.0,
+            draw(st.floats(*EGO_X_M[name])),
+            y,
+            draw(st.floats(0, top)),
+            draw(sideways) if changing else 0.0,
+            draw(askew) if changing else 0.0,
+            5.0,
+            2.0,
+            float(nearest_lane(lanes, y)),
+        ]
+    ]
+    others = draw(
+        st.lists(
+            st.tuples(
+                st.floats(-100, 200),
+                st.floats(-0.5, lanes[-1][0] + 0.5),
+                st.floats(0, top),
+                st.just(0.0) | sideways,
+                st.just(0.0) | askew,
+            ),
+            max_size=10,
+        )
+    )
+    for number, (dx, aside, speed, vy, heading) in enumerate(others, 11):
+        k = nearest_lane(lanes, aside)
+        rows.append(
+            [float(number), rows[0][1] + dx, aside, math.copysign(speed, lanes[k][3]), vy, heading, 5.0, 2.0, float(k)]
+        )
+    rows = np.array(rows, np.float32).tolist()  # as they come over the bus
+    return Scene(lanes, rows, draw(st.floats(0, top)), aim, previous)
+
+
+presets = st.sampled_from(sorted(PRESETS))
+
+DT = 1 / 15
+
+Motion = Callable[[float], tuple[float, float]]
+"""Time [s] to where a car is [m] and its speed [m/s], both along the road."""
+
+
+def braking(x: float, v: float, brake: float, reaction_s: float = 0.0, accel: float = 0.0) -> Motion:
+    """A car that accelerates until it reacts, and then brakes to a standstill."""
+
+    def at(t: float) -> tuple[float, float]:
+        early = min(t, reaction_s)
+        peak = v + accel * early
+        late = min(t - early, peak / brake)
+        return x + v * early + 0.5 * accel * early**2 + peak * late - 0.5 * brake * late**2, peak - brake * late
+
+    return at
+
+
+def steady(x: float, v: float) -> Motion:
+    return lambda t: (x + v * t, v)
+
+
+class Ego(NamedTuple):
+    x: float
+    y: float
+    speed: float
+    heading: float
+    accel: float
+    target_speed: float
+    lane: int
+    previous: int
+
+    def moved(self, meta: int, lanes, speed_ceiling: float) -> Ego:
+        """One tick later, as the simulator's executor and bicycle model have it."""
+        gates = [(b[1], b[2], b[6], b[7]) for b in lanes]
+        target, lane, previous = executor.edit_set_points(
+            meta, self.target_speed, self.lane, self.previous, gates, self.x, math.nan, 0.0, speed_ceiling
+        )
+        accel = executor.acceleration_command(self.speed, target, self.accel, meta, DT)
+        steering = executor.steering_command(self.y, self.heading, self.speed, lanes[lane][0], 0.0)
+        slip = math.atan(0.5 * math.tan(steering))
+        y = self.y + self.speed * math.sin(self.heading + slip) * DT
+        if previous >= 0 and executor.change_finished(y, lanes[lane][0]):
+            previous = -1
+        return Ego(
+            self.x + self.speed * math.cos(self.heading + slip) * DT,
+            y,
+            self.speed + accel * DT,
+            self.heading + self.speed * math.sin(slip) / 2.5 * DT,
+            accel,
+            target,
+            lane,
+            previous,
+        )
+
+    def row(self, lanes) -> list[float]:
+        return [
+            0.0,
+            self.x,
+            self.y,
+            self.speed * math.cos(self.heading),
+            self.speed * math.sin(self.heading),
+            self.heading,
+            5.0,
+            2.0,
+            float(nearest_lane(lanes, self.y)),
+        ]
+
+
+def ahead_by(
+    seconds: float,
+    ego: Ego,
+    lanes,
+    others: Sequence[tuple[int, Motion]],
+    first: int,
+    liking: Sequence[int],
+    preset: Preset,
+) -> Iterator[tuple[Ego, list[list[float]]]]:
+    """What becomes of `first` and then, at each tick, of the most liked action that the mask leaves open: the ego and
+    all rows after every tick. Nothing, if the mask closes `first`. others: (lane, motion); who is out of sight is not
+    seen."""
+    for tick in range(round(seconds / DT)):
+        rows = rows_at(tick * DT, ego, lanes, others)
+        seen = [r for r in rows if abs(r[1] - ego.x) <= SIGHT_M]
+        rule, _ = judge(seen, lanes, ego.target_speed, ego.lane, ego.previous, preset)
+        if tick == 0 and rule[first] != OPEN:
+            return
+        meta = first if tick == 0 else next((a for a in liking if rule[a] == OPEN), MetaAction.EMERGENCY_BRAKE)
+        ego = ego.moved(int(meta), lanes, lanes[-1][5])
+        yield ego, rows_at((tick + 1) * DT, ego, lanes, others)
+
+
+def rows_at(t: float, ego: Ego, lanes, others) -> list[list[float]]:
+    return [ego.row(lanes), *(car(i, at(t)[0], lane, at(t)[1]) for i, (lane, at) in enumerate(others, 1))]
+
+
+def touched(rows) -> list[int]:
+    """Ids of the cars that the ego overlaps."""
+    ego = rows[0]
+    return [
+        int(r[0]) for r in rows[1:] if abs(r[1] - ego[1]) < 5.0 and abs(r[2] - ego[2]) < half_width(r) + half_width(ego)
+    ]
+
+
+LEFT, RIGHT = MetaAction.LEFT, MetaAction.RIGHT
+
+EAGER = (MetaAction.SPEED_UP, MetaAction.CRUISE, MetaAction.SLOW_DOWN)
+
+likings = st.just(EAGER) | st.permutations(range(5))
+speeds, accels = st.floats(0, 28), st.floats(-3, 3)
+
+every_preset = pytest.mark.parametrize("preset", sorted(PRESETS))
+
+either_side = pytest.mark.parametrize("side", [MetaAction.LEFT, MetaAction.RIGHT], ids=["left", "right"])
+
+
+def in_lane(lane: int, v: float, accel: float = 0.0, x: float = 500.0, extra: float = 0.0) -> Ego:
+    return Ego(x, 4.0 * lane, v, 0.0, accel, max(v + extra, 0.0), lane, -1)
