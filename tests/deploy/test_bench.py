@@ -8,11 +8,11 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from uuid import uuid4
 
@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from deploy.bench import figures, latency, scale
+from deploy.bench import figures, latency, peers, scale
 from deploy.bench.contenders import Lost, Peers, asking, children
 from deploy.bench.peers import PeerConfig, near_end
 from deploy.cli.bench import app
@@ -30,6 +30,7 @@ from schemas.runtime.process import ConfigError
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import Lane, Observation
 from sim_node.__main__ import REHEARSALS_NS, RehearsingClock
+from tests.waiting import PATIENCE_S, until
 
 ROOT = Path(__file__).parents[2]
 
@@ -145,20 +146,21 @@ class Orders:
         self.replies.append(reply)
 
 
-def test_a_round_behind_a_late_one_counts_from_when_it_was_due() -> None:
+def test_a_round_behind_a_late_one_counts_from_when_it_was_due(monkeypatch: pytest.MonkeyPatch) -> None:
     slow_at = 51  # the rounds before it are for warming up
 
     def receive() -> bytes:
         nonlocal slow_at
         slow_at -= 1
         if slow_at == 0:
-            time.sleep(0.05)
+            manual.advance(0.05)
         return b""
 
-    orders = Orders(("paced", time.monotonic_ns() + 50_000_000, 10_000_000, 3))
+    manual = ManualClock()
+    monkeypatch.setattr(peers, "time", SimpleNamespace(monotonic_ns=manual.now_ns, sleep=manual.advance))
+    orders = Orders(("paced", manual.now_ns() + 50_000_000, 10_000_000, 3))
     near_end(PeerConfig(transport="bus", near=True, folder=""), (lambda _: None, receive), orders)
-    took = orders.replies[1][0]
-    assert [ns // 10_000_000 >= late for ns, late in zip(took, (5, 4, 3), strict=True)] == [True] * 3
+    assert orders.replies[1][0] == [50_000_000, 40_000_000, 30_000_000]
 
 
 def stamps(folder: Path, sim: list[tuple[int, ...]], fast: list[tuple[int, ...]]) -> latency.Samples:
@@ -360,8 +362,7 @@ def test_the_load_counts_what_the_model_wrote_during_the_block() -> None:
 
     with asked(answer) as did:
         before = n
-        while n < before + 3:
-            time.sleep(0.01)
+        until(lambda: n >= before + 3, "the model was not asked again")
     assert did["answers"] >= 2
     assert did["tokens"] >= 2 * 7
 
@@ -372,10 +373,10 @@ def test_a_model_that_falls_silent_is_no_load() -> None:
     def answer(model: Model) -> None:
         model.words(1)
         silent.set()
-        end.wait(10.0)
+        end.wait(PATIENCE_S)
 
     with pytest.raises(Lost, match="the language model wrote nothing"), asked(answer):
-        silent.wait(10.0)
+        silent.wait(PATIENCE_S)
     end.set()
 
 
@@ -392,7 +393,7 @@ def test_a_model_that_fails_is_no_load() -> None:
     def until_two_have_failed() -> None:
         fails.set()
         for _ in range(2):
-            assert failed.acquire(timeout=10.0)
+            assert failed.acquire(timeout=PATIENCE_S)
 
     with pytest.raises(Lost, match=r"failed \d requests, the last one with: .*500"), asked(answer):
         until_two_have_failed()
@@ -544,12 +545,7 @@ def started(folder: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[st
 
 
 def wait_for(mark: str, module: str) -> int:
-    until = time.monotonic() + 20.0
-    while time.monotonic() < until:
-        if found := marked(mark, module):
-            return found[0]
-        time.sleep(0.05)
-    raise AssertionError(f"no {module} came up")
+    return until(lambda: marked(mark, module), f"no {module} came up")[0]
 
 
 FLOOR_ALONE = ("bench", "latency", "--seconds", "2", "--load", "none", "--peer", "floor", "--json")
@@ -587,7 +583,7 @@ def test_a_signal_ends_the_benchmark_and_all_it_started(tmp_path: Path, number: 
     with started(tmp_path, *FLOOR_ALONE) as (process, mark):
         wait_for(mark, "deploy.bench.peers")
         process.send_signal(number)
-        _, said = process.communicate(timeout=30)
+        _, said = process.communicate(timeout=PATIENCE_S)
         assert (process.returncode, said.splitlines()[-1], marked(mark)) == (code, "fastslow: stopped", [])
 
 

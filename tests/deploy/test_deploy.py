@@ -9,7 +9,6 @@ import socket
 import subprocess
 import sys
 import textwrap
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from deploy.run.status import Live
 from deploy.run.summary import Summary
 from deploy.run.supervisor import RestartPolicy, Supervisor
 from schemas.wire.messages import Command, Directive, Event, Observation, Reply, Status
+from tests.waiting import until
 
 QUICK = RestartPolicy(first_s=0.05, most_s=0.1, grace_s=0.5)
 ROOT = Path(__file__).parents[2]
@@ -43,16 +43,18 @@ class Watched:
         self.supervisor = Supervisor(table, folder, self.said.append, QUICK)
         self.code: int | None = None
 
-    def until(self, condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
-        deadline = time.monotonic() + timeout_s
-        while not condition():
-            assert time.monotonic() < deadline, f"it did not happen in time: {self.said}"
+    def until(self, condition: Callable[[], bool]) -> None:
+        def beaten() -> bool:
+            if condition():
+                return True
             for name in self.hearts:
                 pid = self.supervisor.pid(name)
                 if pid is not None:
                     self.supervisor.beat(name, pid)
             self.code = self.supervisor.step()
-            time.sleep(0.01)
+            return False
+
+        until(beaten, f"it did not happen: {self.said}")
 
     def ready(self, name: str) -> bool:
         return self.supervisor.states[name] == "ready"
@@ -168,7 +170,7 @@ def test_nothing_is_left_after_a_stop(watch: Callable[..., Watched]) -> None:
     assert sim is not None
     watched.until(lambda: len(group(sim)) == 2)
     watched.supervisor.stop()
-    watched.until(lambda: group(slow) == group(sim) == [], timeout_s=1.0)  # the kernel ends a group in its own time
+    watched.until(lambda: group(slow) == group(sim) == [])  # the kernel ends a group in its own time
 
 
 def test_backoff_doubles_up_to_its_limit() -> None:
@@ -180,31 +182,30 @@ RUN = """
 import sys
 from deploy.run.processes import Process, RunOptions
 from deploy.run.system import run_system
+from deploy.run.supervisor import RestartPolicy
 stubborn = {stubborn!r}
 table = tuple(Process(name=n, argv=(sys.executable, "-c", stubborn), critical=False) for n in ("sim", "fast", "slow"))
-sys.exit(run_system(RunOptions(port=0, as_json=True), table))
+sys.exit(run_system(RunOptions(port=0, as_json=True), table, RestartPolicy(grace_s={grace_s})))
 """
 
 
-def start_run(folder: Path) -> tuple[subprocess.Popen[bytes], list[int]]:
-    code = RUN.format(stubborn=STUBBORN)
+def start_run(folder: Path, grace_s: float) -> tuple[subprocess.Popen[bytes], list[int]]:
+    """A run, and its three processes, which note in `asked` that they should end, and do not."""
+    note = f"import signal\nsignal.signal(signal.SIGTERM, lambda *_: open({str(folder / 'asked')!r}, 'w').close())"
+    up = f"import os\nopen({str(folder)!r} + f'/up-{{os.getpid()}}', 'w').close()"
+    code = RUN.format(stubborn=f"{note}\n{up}\n{SLEEPER}", grace_s=grace_s)
     env = {**os.environ, "PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(folder)}
     run = subprocess.Popen(
         [sys.executable, "-c", code], cwd=folder, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     )
-    children = Path(f"/proc/{run.pid}/task/{run.pid}/children")
-    deadline = time.monotonic() + 10.0
-    while len(pids := [int(pid) for pid in children.read_text().split()]) < 3:
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-    time.sleep(0.2)
-    return run, pids
+    until(lambda: len(list(folder.glob("up-*"))) == 3, "the processes did not come up")
+    return run, [int(file.name.removeprefix("up-")) for file in folder.glob("up-*")]
 
 
 def test_a_terminated_run_leaves_a_summary_and_no_orphan(tmp_path: Path) -> None:
-    run, pids = start_run(tmp_path)
+    run, pids = start_run(tmp_path, grace_s=0.2)
     run.send_signal(signal.SIGTERM)
-    out, _ = run.communicate(timeout=20)
+    out, _ = run.communicate(timeout=60)
     assert run.returncode == 143
     assert not any(map(alive, pids))
     summary = json.loads(out)
@@ -214,16 +215,13 @@ def test_a_terminated_run_leaves_a_summary_and_no_orphan(tmp_path: Path) -> None
 
 
 def test_a_second_signal_ends_it_at_once(tmp_path: Path) -> None:
-    run, pids = start_run(tmp_path)
+    run, pids = start_run(tmp_path, grace_s=1000.0)
     run.send_signal(signal.SIGINT)
-    time.sleep(0.3)
-    start = time.monotonic()
+    until((tmp_path / "asked").exists, "nobody was asked to end")
     run.send_signal(signal.SIGINT)
-    run.communicate(timeout=10)
-    assert run.returncode == 130
-    assert time.monotonic() - start < 1.0
-    time.sleep(0.1)
-    assert not any(map(alive, pids))
+    out, _ = run.communicate(timeout=60)
+    assert (run.returncode, out) == (130, b"")
+    until(lambda: not any(map(alive, pids)), "a process outlived the run")
 
 
 def fastslow(*words: str, folder: Path | None = None) -> subprocess.CompletedProcess[str]:

@@ -8,6 +8,7 @@ import os
 import socket
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -34,9 +35,9 @@ from slow_node.understanding.refusals import unsafe
 from slow_node.understanding.slots import Slots
 from tests.faulty_server import FaultyServer, answer
 from tests.scripted import ScriptedModel
+from tests.waiting import until
 
 FASTER = '{"reasoning":"in a hurry","outcome":"directive","speed":"faster","overtake":true}'
-FINAL = ("issued", "refused", "failed")
 SLOWER = '{"reasoning":"less","outcome":"directive","speed":"slower"}'
 
 
@@ -79,13 +80,15 @@ def play(
     url: str,
     bank: str,
     *steps: Step,
-    wait_s: float = 0.6,
     budget_s: float = 4.0,
     embedded: bool = False,
     reader: bool = False,
-    until: tuple[str, ...] = (),
+    asked: Callable[[], object] = lambda: False,
 ) -> tuple[list[Reply], list[Directive]]:
-    """Run the node on an in-process bus, one step every `wait_s` or until such an outcome; what it published."""
+    """Run the node on an in-process bus; what it published.
+
+    Each step waits until the node has done all that the last one gave it to do, or until the model is `asked`.
+    """
     bus = LocalBus()
     replies, directives = bus.subscribe(topics.REPLY), bus.subscribe(topics.DIRECTIVE)
     seen: list[Directive] = []
@@ -102,16 +105,25 @@ def play(
         ),
     )
 
+    rounds, poll = 0, node.poll
+
+    def counted(now_ns: int) -> None:
+        nonlocal rounds
+        poll(now_ns)
+        rounds += 1
+
+    node.poll = counted  # type: ignore[method-assign]
+
     async def run() -> None:
         stop = asyncio.Event()
         task = asyncio.create_task(node.run(stop.is_set))
         for step in steps:
+            before, last = rounds, step is steps[-1]
             step(bus)
-            due = time.monotonic() + wait_s
-            while time.monotonic() < due and not (until and any(r.outcome in until for r in heard)):
-                await asyncio.sleep(0.05)
-                heard.extend(replies.take())
-                seen.extend(directives.take())
+            while rounds < before + 2 or ((node._thought or node._chores) and (last or not asked())):
+                await asyncio.sleep(0.01)
+            heard.extend(replies.take())
+            seen.extend(directives.take())
         stop.set()
         await task
 
@@ -147,10 +159,14 @@ def garbage(_: str) -> str:
     return "I would love to help!"
 
 
+SECOND_ASKED = threading.Event()
+
+
 def slow_first(prompt: str) -> str:
     if "first" in prompt:
-        time.sleep(1.0)
+        SECOND_ASKED.wait(20.0)
         return FASTER
+    SECOND_ASKED.set()
     return SLOWER
 
 
@@ -166,7 +182,7 @@ def test_a_command_is_heard_at_once_and_issued_after(model: ScriptedModel, bank:
 @pytest.mark.parametrize("model", [obeys], indirect=True)
 @pytest.mark.parametrize("payload", [b"", b"x" * 10_000, b"\x00\xff\xfe\x81", b"\x81\xa1a\x01"])
 def test_a_bad_payload_is_refused_with_a_reason(model: ScriptedModel, bank: str, payload: bytes) -> None:
-    replies, directives = play(model.url, bank, look(), say(payload), wait_s=0.15)
+    replies, directives = play(model.url, bank, look(), say(payload))
     assert [r.outcome for r in replies] == ["refused"]
     assert replies[0].why
     assert not directives
@@ -183,7 +199,9 @@ def test_garbage_is_repaired_once_then_refused(model: ScriptedModel, bank: str) 
 
 @pytest.mark.parametrize("model", [slow_first], indirect=True)
 def test_the_newest_command_wins(model: ScriptedModel, bank: str) -> None:
-    replies, directives = play(model.url, bank, look(), say("first things first"), say("a little slower"))
+    replies, directives = play(
+        model.url, bank, look(), say("first things first"), say("a little slower"), asked=lambda: model.prompts
+    )
     assert [r.outcome for r in replies] == ["heard", "heard", "superseded", "issued"]
     assert replies[2].text == "first things first"
     assert [d.manoeuvre for d in directives] == ["cruise"]
@@ -239,7 +257,6 @@ def test_overtaking_returns_and_ends_on_our_own_side(model: ScriptedModel, bank:
         look(3, lane=1, x=45),
         read,
         fulfilled(3),
-        wait_s=0.8,
     )
     assert [d.target_lane for d in directives] == [0, 1]
     assert [r.outcome for r in replies] == ["heard", "issued", "issued", "fulfilled"]
@@ -253,11 +270,11 @@ def test_an_active_wish_survives_a_reset_of_the_world(model: ScriptedModel, bank
 
 def test_without_a_model_memory_answers_or_a_reason_is_given(bank: str) -> None:
     nobody = "http://127.0.0.1:9/v1"
-    replies, directives = play(nobody, bank, look_and_say("please slow down"), wait_s=9.0, until=FINAL)
+    replies, directives = play(nobody, bank, look_and_say("please slow down"))
     assert replies[-1].outcome == "issued"
     assert replies[-1].why.startswith("model unavailable: answered from memory")
     assert directives[0].manoeuvre == "cruise"
-    replies, directives = play(nobody, bank, look_and_say("quantum marmalade trombone"), wait_s=9.0, until=FINAL)
+    replies, directives = play(nobody, bank, look_and_say("quantum marmalade trombone"))
     assert replies[-1].outcome == "failed"
     assert "reached" in replies[-1].why
     assert not directives
@@ -328,7 +345,9 @@ def test_a_wish_to_overtake_says_so_where_nobody_slow_is_ahead() -> None:
 
 def test_a_superseded_thought_hangs_up(bank: str) -> None:
     with FaultyServer("hang", answer()) as server:
-        replies, _ = play(server.url, bank, look(), say("first things first"), say("a little slower"))
+        replies, _ = play(
+            server.url, bank, look(), say("first things first"), say("a little slower"), asked=lambda: server.bodies
+        )
         assert [r.outcome for r in replies] == ["heard", "heard", "superseded", "issued"]
         assert server.hung_up.wait(10)
 
@@ -368,12 +387,20 @@ def test_the_smallest_time_to_collision_until_the_outcome_is_remembered(model: S
         )
 
     path = str(tmp_path / "bank.sqlite")
-    play(model.url, path, note, look(), say("hurry up, chauffeur"), look(1, x=15), look(2), read, fulfil, wait_s=0.8)
+    play(model.url, path, note, look(), say("hurry up, chauffeur"), look(1, x=15), look(2), read, fulfil)
     memory = Memory(load_embedder(), path)
     learnt = memory.examples()[-1]
     memory.close()
     assert (learnt.command, learnt.outcome) == ("hurry up, chauffeur", "fulfilled")
     assert learnt.min_ttc_s == pytest.approx(5.0 / 1.5, rel=1e-3)
+
+
+def answers(url: str) -> bool:
+    try:
+        urllib.request.urlopen(url, timeout=1).close()
+    except OSError:
+        return False
+    return True
 
 
 def test_the_embedded_model_understands_a_hurry(bank: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -387,20 +414,13 @@ def test_the_embedded_model_understands_a_hurry(bank: str, monkeypatch: pytest.M
         stderr=subprocess.DEVNULL,
     )
     try:
-        for _ in range(100):
-            try:
-                urllib.request.urlopen(f"http://127.0.0.1:{port}/health", timeout=1).close()
-                break
-            except OSError:
-                time.sleep(0.2)
+        until(lambda: answers(f"http://127.0.0.1:{port}/health"), "the model did not come up")
         replies, directives = play(
             f"http://127.0.0.1:{port}/v1",
             bank,
             look_and_say("I'm in a hurry to get to work, I want to drive faster"),
-            wait_s=40.0,
             budget_s=35.0,
             embedded=True,
-            until=FINAL,
         )
     finally:
         server.terminate()
