@@ -1,0 +1,43 @@
+"""What holds for every test: the guards, and how hypothesis draws its examples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from hypothesis import settings
+
+from tests import guards
+
+# "default" draws the same examples every time, so that one revision of the code has one verdict. To hunt for new
+# counter-examples: pytest --hypothesis-profile=search, which draws others each time, and ten times as many.
+settings.register_profile("default", derandomize=True, deadline=None)
+settings.register_profile("search", derandomize=False, deadline=None, print_blob=True)
+settings.load_profile("default")
+SEARCH_FACTOR = 10
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """A search draws more examples of each property, whatever number it names for itself."""
+    if settings.get_current_profile_name() != "search":
+        return
+    for test in {item.function for item in items if isinstance(item, pytest.Function)}:
+        own: Any = getattr(test, "_hypothesis_internal_use_settings", None)
+        if own is not None:
+            more = settings(own, max_examples=SEARCH_FACTOR * own.max_examples)
+            test._hypothesis_internal_use_settings = more
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _guards() -> Iterator[None]:
+    with guards.guarded():
+        yield
+
+
+@pytest.fixture(autouse=True)
+def _unbroken() -> Iterator[None]:
+    """Fails a test that a guard refused something, even where the code swallowed the error."""
+    guards.broken.clear()
+    yield
+    assert guards.broken == []
