@@ -10,20 +10,17 @@ import numpy as np
 
 from fast_node.choice import choose, narrow
 from fast_node.mask import PRESETS, Preset, close_actions
+from schemas.driving.road import LANE_LIMIT, LANE_WAY, LANE_Y, X, lane_table
+from tests import scenes
+from tests.scenes import car
 
 SIGHT_M = 250.0
-FAR = -1e9
-ROADS: dict[str, list[tuple[float, ...]]] = {
-    "two-way": [(0.0, 0.0, 3000.0, -1.0, 4.0, 8.0, FAR, 0.0), (4.0, 0.0, 3000.0, 1.0, 4.0, 8.0, FAR, 0.0)],
-    "highway": [(4.0 * k, 0.0, 9000.0, 1.0, 4.0, 28.0, FAR, 0.0) for k in range(4)],
-    "ramp": [
-        (0.0, 0.0, 750.0, 1.0, 4.0, 20.0, FAR, 0.0),
-        (4.0, 0.0, 750.0, 1.0, 4.0, 20.0, FAR, 0.0),
-        (8.0, 0.0, 350.0, 1.0, 4.0, 20.0, 230.0, 1.0),
-    ],
-    "roadworks": [(0.0, 0.0, 3000.0, 1.0, 4.0, 14.0, FAR, 0.0), (4.0, 0.0, 600.0, 1.0, 4.0, 14.0, FAR, 0.0)],
+ROADS = {
+    "two-way": lane_table(scenes.TWO_WAY),
+    "highway": lane_table(scenes.HIGHWAY),
+    "ramp": lane_table(scenes.MERGE),
+    "roadworks": lane_table(scenes.ROADWORKS),
 }
-"""Lane tables, as `mask.lane_table` has them."""
 EGO_X_M = {"two-way": (400.0, 600.0), "highway": (400.0, 600.0), "ramp": (180.0, 349.0), "roadworks": (450.0, 599.0)}
 N_SCENES = 20_000
 
@@ -59,43 +56,40 @@ def draw(count: int = N_SCENES, seed: int = 7) -> Iterator[Scene]:
         aim = one_of(len(lanes))
         beside = [n for n in (aim - 1, aim + 1) if 0 <= n < len(lanes)]
         previous = beside[one_of(len(beside))] if rng.random() < 0.4 else -1
-        top = lanes[aim][5]
-        start_y = lanes[aim if previous < 0 else previous][0]
-        y = start_y + (lanes[aim][0] - start_y) * between(0.0, 1.0) + between(-0.2, 0.2)
+        top = lanes[aim][LANE_LIMIT]
+        start_y = lanes[aim if previous < 0 else previous][LANE_Y]
+        y = start_y + (lanes[aim][LANE_Y] - start_y) * between(0.0, 1.0) + between(-0.2, 0.2)
         speed = top * between(0.0, 1.2)
         changing = previous >= 0
-        ego = [
-            0.0,
+        ego = car(
+            0,
             between(*EGO_X_M[name]),
-            y,
+            nearest_lane(lanes, y),
             speed,
-            between(-1.5, 1.5) if changing else 0.0,
-            between(-0.2, 0.2) if changing else 0.0,
-            5.0,
-            2.0,
-            float(nearest_lane(lanes, y)),
-        ]
+            y,
+            vy_mps=between(-1.5, 1.5) if changing else 0.0,
+            heading_rad=between(-0.2, 0.2) if changing else 0.0,
+        )
         rows = [ego]
         for number in range(11, 11 + one_of(8)):
             lane = min(max(aim + one_of(5) - 2, 0), len(lanes) - 1) if rng.random() < 0.7 else one_of(len(lanes))
-            oncoming = lanes[lane][3] < 0 and rng.random() < 0.8
+            oncoming = lanes[lane][LANE_WAY] < 0 and rng.random() < 0.8
             reach = (12.0, 40.0, 120.0, 250.0)[one_of(4)]
             pace = min(max(speed + between(-8.0, 8.0), 0.0), 1.3 * top) if rng.random() < 0.8 else 0.0
             drift = between(-2.0, 2.0) if rng.random() < 0.3 else 0.0
             askew = between(-0.6, 0.6) if rng.random() < 0.15 else 0.0
-            aside = lanes[lane][0] + (between(-2.4, 2.4) if rng.random() < 0.4 else 0.0)
+            aside = lanes[lane][LANE_Y] + (between(-2.4, 2.4) if rng.random() < 0.4 else 0.0)
             rows.append(
-                [
-                    float(-1 if rng.random() < 0.05 else number),
-                    ego[1] + between(-reach, reach),
-                    aside,
+                car(
+                    -1 if rng.random() < 0.05 else number,
+                    ego[X] + between(-reach, reach),
+                    nearest_lane(lanes, aside),
                     -pace if oncoming else pace,
-                    drift,
-                    askew,
-                    12.0 if rng.random() < 0.1 else 5.0,
-                    2.0,
-                    float(nearest_lane(lanes, aside)),
-                ]
+                    aside,
+                    vy_mps=drift,
+                    heading_rad=askew,
+                    length_m=12.0 if rng.random() < 0.1 else 5.0,
+                )
             )
         rows = np.array(rows, np.float32).tolist()  # as they come over the bus
         target = speed if rng.random() < 0.5 else top * between(0.0, 1.2)
@@ -107,7 +101,7 @@ def draw(count: int = N_SCENES, seed: int = 7) -> Iterator[Scene]:
 
 def nearest_lane(lanes: list[tuple[float, ...]], y: float) -> int:
     """Index of the lane whose centre line is nearest to `y` [m]."""
-    return min(range(len(lanes)), key=lambda k: abs(lanes[k][0] - y))
+    return min(range(len(lanes)), key=lambda k: abs(lanes[k][LANE_Y] - y))
 
 
 def judged(scene: Scene, preset: Preset) -> tuple[int, ...]:

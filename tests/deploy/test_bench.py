@@ -28,8 +28,8 @@ from deploy.run import processes
 from schemas.runtime.clock import ManualClock, MonotonicClock
 from schemas.runtime.process import ConfigError
 from schemas.wire.codec import rows_of
-from schemas.wire.messages import Lane, Observation
 from sim_node.__main__ import REHEARSALS_NS, RehearsingClock
+from tests.scenes import HIGHWAY, car, observation
 from tests.waiting import PATIENCE_S, until
 
 ROOT = Path(__file__).parents[2]
@@ -400,16 +400,7 @@ def test_a_model_that_fails_is_no_load() -> None:
 
 
 def test_a_crowd_has_as_many_vehicles_as_asked_for() -> None:
-    ego = np.array([[0, 100, 4, 10, 0, 0, 5, 2, 1]], np.float32)
-    seen = Observation(
-        epoch=1,
-        stamp_ns=0,
-        tick=0,
-        scenario="two-way",
-        rows=ego.tobytes(),
-        lanes=(Lane(y_m=0.0, start_m=0.0, end_m=1e4), Lane(y_m=4.0, start_m=0.0, end_m=1e4)),
-    )
-    rows = rows_of(scale.crowd(seen, 50))
+    rows = rows_of(scale.crowd(observation(car(0, 100, 1, 10), lanes=HIGHWAY[:2]), 50))
     assert len(set(rows[:, 0].tolist())) == len(set(rows[:, 1].tolist())) == 50
 
 

@@ -28,6 +28,7 @@ from sim_node.metrics import Recorder, summarise
 from sim_node.node import SimNode
 from sim_node.scenarios import SCENARIOS
 from sim_node.scenarios.scenario import streams
+from tests.scenes import car
 
 
 @pytest.mark.parametrize(("name", "seed"), [("highway", 1000), ("merge", 1004), ("two-way", 1005), ("roadworks", 1004)])
@@ -239,10 +240,6 @@ def test_an_unknown_agent_scenario_or_directive_is_refused_with_the_choice() -> 
 
 def test_the_wilson_interval_is_the_textbooks() -> None:
     assert wilson95(90, 100) == pytest.approx((0.8256, 0.9448), abs=1e-4)
-
-
-def car(number: int, x: float, lane: int, speed: float) -> list[float]:
-    return [number, x, 4.0 * lane, speed, 0.0, 0.0, 5.0, 2.0, lane]
 
 
 def record(

@@ -12,52 +12,25 @@ from fast_node.config import FastConfig
 from fast_node.node import FastNode
 from fast_node.policies.attention import load_policy
 from schemas.runtime.clock import NS
-from schemas.wire.messages import Directive, Event, Lane, MetaAction, Observation
-
-LANES = (
-    Lane(y_m=0, start_m=0, end_m=3000, direction=-1, kind="oncoming", speed_limit_mps=8.0),
-    Lane(y_m=4, start_m=0, end_m=3000, speed_limit_mps=8.0),
-)
+from schemas.wire.messages import Directive, Event, MetaAction, Observation
+from tests import scenes
+from tests.scenes import TWO_WAY, Row, car
 
 
-def observation(
-    tick: int, *cars: tuple[float, ...], speed: float = 5.0, ego: tuple[float, ...] = (), **fields: Any
-) -> Observation:
-    rows = np.array([ego or (0, 500, 4, speed, 0, 0, 5, 2, 1), *cars], np.float32)
-    return Observation(
-        **{
-            "epoch": 1,
-            "stamp_ns": 0,
-            "tick": tick,
-            "scenario": "two-way",
-            "lanes": LANES,
-            "rows": rows.tobytes(),
-            "target_lane": 1,
-            "target_speed_mps": speed,
-            **fields,
-        }
-    )
+def observation(tick: int, *cars: Row, speed: float = 5.0, lane: int = 1, **fields: Any) -> Observation:
+    """On the two-way road, the ego at x 500."""
+    return scenes.observation(car(0, 500, lane, speed), *cars, tick=tick, **fields)
 
 
-def directive(**fields: object) -> Directive:
-    return Directive(
-        **{
-            "epoch": 1,
-            "stamp_ns": 0,
-            "id": 5,
-            "command_id": 4,
-            "scene_tick": 0,
-            "manoeuvre": "overtake",
-            "target_speed_mps": 8.0,
-            **fields,
-        }
-    )
+def directive(**fields: Any) -> Directive:
+    """To overtake, unless `fields` say otherwise."""
+    return scenes.directive(**{"manoeuvre": "overtake", "target_speed_mps": 8.0, **fields})
 
 
-LEAD, ONCOMING = (1, 514, 4, 4, 0, 0, 5, 2, 1), (2, 590, 0, -6, 0, 0, 5, 2, 0)
-CLOSE_AHEAD = (1, 511, 4, 5, 0, 0, 5, 2, 1)
-AHEAD_AT_HOME, BEHIND_AT_HOME = (1, 504, 4, 5, 0, 0, 5, 2, 1), (2, 491, 4, 5, 0, 0, 5, 2, 1)
-AWAY = {"target_lane": 0, "ego": (0, 500, 0, 5, 0, 0, 5, 2, 0)}
+LEAD, PASSED, ONCOMING = car(1, 514, 1, 4), car(1, 480, 1, 4), car(2, 590, 0, -6)
+CLOSE_AHEAD = car(1, 511, 1, 5)
+AHEAD_AT_HOME, BEHIND_AT_HOME = car(1, 504, 1, 5), car(2, 491, 1, 5)
+AWAY = {"lane": 0}
 """The ego in the lane to the left of them."""
 
 
@@ -110,7 +83,7 @@ def facts(event: Event) -> tuple[str, str, int, float]:
     return event.kind, event.rule, event.since_tick, event.duration_s
 
 
-def drive(node: FastNode, ticks: range, told: Directive, *cars: tuple[float, ...], **fields: Any) -> list[Event]:
+def drive(node: FastNode, ticks: range, told: Directive, *cars: Row, **fields: Any) -> list[Event]:
     """What is reported while the same is seen for a while."""
     return [e for t in ticks for e in node.step(observation(t, *cars, **fields), told, t * NS // 15)[1]]
 
@@ -136,7 +109,7 @@ def test_an_expired_directive_is_reported_with_what_held_it_up_and_how_long_it_w
 
 def test_a_fulfilled_directive_is_reported_with_what_held_it_up_and_how_long_it_took(node):
     drive(node, range(30), directive(), LEAD, ONCOMING)
-    assert [facts(e) for e in drive(node, range(30, 31), directive(), (1, 480, 4, 4, 0, 0, 5, 2, 1))] == [
+    assert [facts(e) for e in drive(node, range(30, 31), directive(), PASSED)] == [
         ("fulfilled", "oncoming traffic", 0, 2.0)
     ]
 
@@ -175,7 +148,7 @@ def test_it_accelerates_first_as_soon_as_a_car_behind_becomes_what_holds_it_back
     drive(node, range(5), home, AHEAD_AT_HOME, **AWAY)
     drive(node, range(5, 6), home, BEHIND_AT_HOME, **AWAY)
     action, _ = node.step(observation(6, BEHIND_AT_HOME, **AWAY), home, NS // 2)
-    assert action.speed_goal_mps == LANES[1].speed_limit_mps
+    assert action.speed_goal_mps == TWO_WAY[1].speed_limit_mps
 
 
 def test_a_wished_speed_that_a_car_ahead_does_not_allow_is_reported_once_after_a_second(node):
@@ -191,12 +164,12 @@ def test_a_wished_speed_that_nothing_forbids_is_not_reported_as_delayed(node):
 
 def test_a_speed_that_only_the_wish_rules_out_is_not_reported_as_delayed(node):
     far_behind = directive(manoeuvre="cruise", target_speed_mps=8.0, headway_s=6.0)
-    assert drive(node, range(60), far_behind, (1, 525, 4, 5, 0, 0, 5, 2, 1)) == []
+    assert drive(node, range(60), far_behind, car(1, 525, 1, 5)) == []
 
 
 def test_an_overtake_is_fulfilled_once_the_car_is_passed_and_the_ego_is_home(node):
     node.step(observation(0, LEAD), directive(), 0)
-    _, events = node.step(observation(1, (1, 480, 4, 4, 0, 0, 5, 2, 1)), directive(), 0)
+    _, events = node.step(observation(1, PASSED), directive(), 0)
     assert [e.kind for e in events] == ["fulfilled"]
 
 
@@ -220,5 +193,5 @@ def test_a_directive_of_another_world_is_ignored(node):
 
 
 def test_the_mask_decides_whatever_the_directive_wants(node):
-    action, _ = node.step(observation(0, (1, 506, 4, 0, 0, 0, 5, 2, 1), speed=8.0), directive(), 0)
+    action, _ = node.step(observation(0, car(1, 506, 1, 0), speed=8.0), directive(), 0)
     assert action.meta_action == MetaAction.EMERGENCY_BRAKE

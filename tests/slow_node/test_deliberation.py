@@ -15,6 +15,8 @@ from slow_node.planning.replies import _ORDER, _SENTENCES, sentence
 from slow_node.planning.scene import Scene, encode_scene
 from slow_node.thinking import Verdict
 from slow_node.understanding.slots import Slots
+from tests import scenes
+from tests.scenes import car
 
 LIMIT = 20.0
 HURRY = Slots(outcome="directive", speed="faster", overtake=True, language="de")
@@ -26,14 +28,7 @@ START_S = 100.0
 
 
 def lane(direction: int = 1, kind: str = "main", start_m: float = -1e4, end_m: float = 1e4) -> Lane:
-    return Lane(
-        y_m=0.0,
-        start_m=start_m,
-        end_m=end_m,
-        direction=direction,
-        kind=kind,  # type: ignore[arg-type]
-        speed_limit_mps=LIMIT,
-    )
+    return scenes.lane(oncoming=direction < 0, ramp=kind == "ramp", start_m=start_m, end_m=end_m, limit_mps=LIMIT)
 
 
 ONE_WAY = (lane(), lane(), lane())
@@ -43,19 +38,8 @@ TWO_WAY = (lane(-1, "oncoming"), lane())
 def seen(
     at_s: float, ego: int, *cars: Car, lanes: tuple[Lane, ...] = ONE_WAY, speed: float = 15.0, epoch: int = 1
 ) -> Observation:
-    rows = [
-        (0, 0, 4 * ego, speed, 0, 0, 5, 2, ego),
-        *((n, x, 4 * at, v, 0, 0, 5, 2, at) for n, (at, x, v) in enumerate(cars, 1)),
-    ]
-    return Observation(
-        epoch=epoch,
-        stamp_ns=round(at_s * NS),
-        tick=round(at_s * 15),
-        scenario="any",
-        lanes=lanes,
-        rows=np.array(rows, np.float32).tobytes(),
-        target_lane=ego,
-    )
+    rows = [car(n, x, at, v) for n, (at, x, v) in enumerate(((ego, 0.0, speed), *cars))]
+    return scenes.observation(*rows, lanes=lanes, epoch=epoch, stamp_ns=round(at_s * NS), tick=round(at_s * 15))
 
 
 def scene(ego: int, *cars: Car, lanes: tuple[Lane, ...] = ONE_WAY, speed: float = 15.0) -> Scene:

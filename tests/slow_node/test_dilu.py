@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
-import numpy as np
 import pytest
 
 from deploy.lab.evaluate import drive
@@ -21,16 +20,10 @@ from slow_node.baselines.dilu import Bank, Experience, build_prompt, describe, e
 from slow_node.llm.embedding import HashedEmbedder
 from slow_node.llm.model import ModelTimeoutError
 from slow_node.planning.prompt import Chat
+from tests.scenes import HIGHWAY, TWO_WAY, car, lane, observation
 
-ROAD = tuple(Lane(y_m=4.0 * k, start_m=0.0, end_m=1e4, speed_limit_mps=28.0) for k in range(3))
-TWO_WAY = (
-    Lane(y_m=0.0, start_m=0.0, end_m=1e4, direction=-1, kind="oncoming", speed_limit_mps=8.0),
-    Lane(y_m=4.0, start_m=0.0, end_m=1e4, speed_limit_mps=8.0),
-)
-RAMP = (
-    Lane(y_m=0.0, start_m=0.0, end_m=800.0, speed_limit_mps=20.0),
-    Lane(y_m=4.0, start_m=0.0, end_m=350.0, speed_limit_mps=20.0, kind="ramp", change_from_m=230.0),
-)
+ROAD = HIGHWAY[:3]
+RAMP = (lane(0, end_m=800.0), lane(1, end_m=350.0, ramp=True, opens_m=230.0))
 BANK = Bank(
     HashedEmbedder(),
     [
@@ -44,17 +37,11 @@ def scene(
     lanes: tuple[Lane, ...], *cars: tuple[float, int, float], target_mps: float | None = None, previous: int = -1
 ) -> Observation:
     """Cars as (x, lane, speed), the ego first."""
-    rows = [(k, x, lanes[lane].y_m, v, 0.0, 0.0, 5.0, 2.0, lane) for k, (x, lane, v) in enumerate(cars)]
-    return Observation(
-        epoch=0,
-        stamp_ns=0,
-        tick=0,
-        scenario="test",
+    return observation(
+        *(car(k, *where) for k, where in enumerate(cars)),
         lanes=lanes,
-        rows=np.array(rows, np.float32).tobytes(),
-        target_lane=cars[0][1],
-        target_speed_mps=cars[0][2] if target_mps is None else target_mps,
         previous_lane=previous,
+        **({} if target_mps is None else {"target_speed_mps": target_mps}),
     )
 
 

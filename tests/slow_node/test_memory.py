@@ -18,7 +18,6 @@ from safetensors.numpy import save
 from typer.testing import CliRunner
 
 from deploy.lab.memory import app
-from schemas.wire.messages import Lane, Observation
 from slow_node.llm.embedding import HashedEmbedder, Rows, Vector, load_embedder
 from slow_node.llm.model import ChatModel
 from slow_node.memory.bank import Memory, experience
@@ -28,6 +27,7 @@ from slow_node.planning.scene import encode_scene
 from slow_node.thinking import Style, Thinker, Verdict
 from slow_node.understanding.slots import Slots
 from tests.faulty_server import SLOWER, FaultyServer, answer
+from tests.scenes import car, lane, observation
 
 SLOW = Slots(outcome="directive", speed="slower")
 FAST = Slots(outcome="directive", speed="faster")
@@ -297,17 +297,7 @@ def thought(
     server: FaultyServer, memory: Memory, veto: str = "", command: str = "a gentle pace please", style: Style = "full"
 ) -> Verdict:
     """What a thought about a gentle pace came to."""
-    lanes = (Lane(y_m=0, start_m=-100, end_m=1000),)
-    scene = encode_scene(
-        Observation(
-            epoch=1,
-            stamp_ns=0,
-            tick=0,
-            scenario="highway",
-            lanes=lanes,
-            rows=np.array([(0, 0, 0, 5, 0, 0, 5, 2, 0)], np.float32).tobytes(),
-        )
-    )
+    scene = encode_scene(observation(car(0, 100, 0, 5), lanes=(lane(0),)))
     model = ChatModel(server.url, "gpt-4o-mini", "")
     thinker = Thinker(memory, model, None, style=style, k=4, budget_s=20.0, ask="always")
 

@@ -16,7 +16,6 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the node's own __main__ does, before NumPy loads
 
-import numpy as np
 import pytest
 
 from schemas.runtime.bus import LocalBus, Subscription
@@ -33,7 +32,9 @@ from slow_node.understanding.numbers import quantities
 from slow_node.understanding.reader import on_the_side_said
 from slow_node.understanding.refusals import unsafe
 from slow_node.understanding.slots import Slots
+from tests import scenes
 from tests.faulty_server import FaultyServer, answer
+from tests.scenes import car
 from tests.scripted import ScriptedModel
 from tests.waiting import until
 
@@ -43,20 +44,8 @@ SLOWER = '{"reasoning":"less","outcome":"directive","speed":"slower"}'
 
 def observation(tick: int = 0, epoch: int = 1, lane: int = 1, x: float = 0.0, lead_x: float = 25.0) -> Observation:
     """The two-way road: the ego in its own lane 1, a lead at 3.5 m/s."""
-    lanes = (
-        Lane(y_m=-4, start_m=-100, end_m=1000, direction=-1, kind="oncoming", speed_limit_mps=8),
-        Lane(y_m=0, start_m=-100, end_m=1000, speed_limit_mps=8),
-    )
-    rows = [(0, x, 4 * lane - 4, 5, 0, 0, 5, 2, lane), (1, lead_x, 0, 3.5, 0, 0, 5, 2, 1)]
-    return Observation(
-        epoch=epoch,
-        stamp_ns=time.monotonic_ns(),
-        tick=tick,
-        scenario="two-way",
-        lanes=lanes,
-        rows=np.array(rows, np.float32).tobytes(),
-        target_lane=lane,
-    )
+    ego, lead = car(0, 100 + x, lane, 5), car(1, 100 + lead_x, 1, 3.5)
+    return scenes.observation(ego, lead, epoch=epoch, stamp_ns=time.monotonic_ns(), tick=tick)
 
 
 @pytest.fixture
@@ -280,7 +269,7 @@ def test_without_a_model_memory_answers_or_a_reason_is_given(bank: str) -> None:
     assert not directives
 
 
-HIGHWAY = tuple(Lane(y_m=4 * i, start_m=-1e4, end_m=1e4, speed_limit_mps=33) for i in range(4))
+HIGHWAY = tuple(scenes.lane(k, start_m=-1e4, limit_mps=33) for k in range(4))
 ROUND = ((45, 1, 20), (30, 0, 24), (60, 0, 24), (-30, 0, 28), (-25, 2, 22), (4, 2, 25), (50, 3, 25))
 """Cars around an ego at x 0 in lane 1 at 25 m/s: centre [m], lane, speed [m/s]."""
 
@@ -288,16 +277,8 @@ ROUND = ((45, 1, 20), (30, 0, 24), (60, 0, 24), (-30, 0, 28), (-25, 2, 22), (4, 
 def described(
     lanes: tuple[Lane, ...] = HIGHWAY, cars: tuple[tuple[float, int, float], ...] = (), lane: int = 1, veto: str = ""
 ) -> str:
-    rows = [(0, 0, lanes[lane].y_m, 25, 0, 0, 5, 2, lane)]
-    rows += [(i, x, lanes[at].y_m, v, 0, 0, 5, 2, at) for i, (x, at, v) in enumerate(cars, 1)]
-    return describe(
-        encode_scene(
-            Observation(
-                epoch=1, stamp_ns=0, tick=0, scenario="", lanes=lanes, rows=np.array(rows, np.float32).tobytes()
-            )
-        ),
-        veto,
-    )
+    rows = [car(i, *where) for i, where in enumerate(((0, lane, 25), *cars))]
+    return describe(encode_scene(scenes.observation(*rows, lanes=lanes)), veto)
 
 
 def test_an_empty_road_is_described_by_its_lanes() -> None:
@@ -312,14 +293,14 @@ def test_the_nearest_cars_ahead_and_behind_in_each_lane_beside_are_described_wit
 
 
 def test_an_oncoming_car_is_described_once_with_the_speed_of_both() -> None:
-    lanes = (Lane(y_m=-4, start_m=-1e4, end_m=1e4, direction=-1, kind="oncoming"), Lane(y_m=0, start_m=-1e4, end_m=1e4))
+    lanes = (scenes.lane(0, start_m=-1e4, oncoming=True), scenes.lane(1, start_m=-1e4))
     assert described(lanes, ((65, 0, -20),)).endswith(
         "no car ahead; oncoming car 60 m, closing 45; free lanes 0, 1; lane 0 is oncoming"
     )
 
 
 def test_a_ramp_that_ends_is_described_as_such() -> None:
-    lanes = (*HIGHWAY[:2], Lane(y_m=8, start_m=-100, end_m=120, kind="ramp"))
+    lanes = (*HIGHWAY[:2], scenes.lane(2, start_m=-100, end_m=120, ramp=True))
     assert described(lanes, lane=2).endswith("; lane 2 is a ramp; our lane ends in 120 m")
 
 

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from schemas.wire import messages as m
 from schemas.wire.codec import Fault, decode, decode_command, encode, rows_of
 from schemas.wire.topics import MAX_COMMAND_CHARS, MAX_MESSAGE_BYTES, OBSERVATION, TOPICS, Topic
+from tests import scenes
 
 CALM = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 """The first texts are slow to make, and the machine may be busy: neither is a finding."""
@@ -27,18 +28,8 @@ words = st.text(max_size=40)
 
 
 def observation(vehicles: int = 3, **changes: Any) -> m.Observation:
-    rows = np.arange(vehicles * WIDTH, dtype=np.float32).tobytes()
-    lanes = (m.Lane(y_m=0.0, start_m=0.0, end_m=500.0), m.Lane(y_m=4.0, start_m=0.0, end_m=500.0))
-    fields: dict[str, Any] = {
-        "epoch": 1,
-        "stamp_ns": 1,
-        "tick": 5,
-        "scenario": "two-way",
-        "lanes": lanes,
-        "rows": rows,
-        **changes,
-    }
-    return m.Observation(**fields)
+    rows = np.arange(vehicles * WIDTH, dtype=np.float32).reshape(vehicles, WIDTH).tolist()
+    return scenes.observation(*rows, **{"tick": 5, "target_lane": 0, **changes})
 
 
 header = {"epoch": counts, "stamp_ns": counts}
