@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from schemas.driving import road
-from schemas.wire.messages import Directive, Lane, Observation
+from schemas.wire.messages import ROW_COLUMNS, Directive, Lane, Observation
 
 LANE_M = 4.0
 FAR_M = 1e4
@@ -63,7 +63,7 @@ def car(
     length_m: float = 5.0,
 ) -> Row:
     """The row of a vehicle, in the middle of its lane unless `y_m` says otherwise; 0 is the ego's number."""
-    row = [0.0] * len(road.ROW_COLUMNS)
+    row = [0.0] * len(ROW_COLUMNS)
     row[road.ID], row[road.X], row[road.Y] = float(number), x_m, LANE_M * lane if y_m is None else y_m
     row[road.VX], row[road.VY], row[road.HEADING] = speed_mps, vy_mps, heading_rad
     row[road.LENGTH], row[road.WIDTH], row[road.LANE] = length_m, 2.0, float(lane)

@@ -218,11 +218,11 @@ def test_a_tick_published_more_than_a_period_late_is_a_miss_and_counts_once(
 
 
 def test_the_blocks_of_a_load_are_pooled(tmp_path: Path) -> None:
-    rows = (
+    samples = stamps(
+        tmp_path,
         [(7, 0, 10, 500_000, 0, 20, 2 * latency.PERIOD_NS, latency.PERIOD_NS, -1)],
         [(7, 0, 100_000, 110_000, 20_000, 30_000, 40_000, 250_000, 300_000)],
     )
-    samples = stamps(tmp_path, *rows)
     latency._read_traces(tmp_path, "none", 0, 1_000_000_000, samples)
     paced = samples.paced["none"]
     for answers in (1, 3):
@@ -322,7 +322,7 @@ class Model(BaseHTTPRequestHandler):
     answer: Callable[[Model], object]
 
     def do_POST(self) -> None:
-        self.answer()  # type: ignore[call-arg]
+        self.answer()  # type: ignore[call-arg, misc]
 
     def words(self, n: int) -> None:
         self.send_response(200)

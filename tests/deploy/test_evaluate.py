@@ -235,7 +235,7 @@ def test_an_unknown_agent_scenario_or_directive_is_refused_with_the_choice() -> 
     with pytest.raises(ValueError, match="highway"):
         evaluate_all(["ours"], ["moon"], 1)
     with pytest.raises(ValueError, match="hurry"):
-        evaluate_all(["ours"], ["merge"], 1, directive="sing")
+        evaluate_all(["ours"], ["merge"], 1, directive="sing")  # type: ignore[arg-type]
 
 
 def test_the_wilson_interval_is_the_textbooks() -> None:

@@ -17,8 +17,8 @@ from deploy.lab.interpret import DEFAULT_SCENE, LineError, labelled_set, scene_o
 from slow_node.llm.embedding import load_embedder
 from slow_node.planning.directive import Plan, Refusal, plan_of
 from slow_node.planning.replies import sentence
-from slow_node.training.generate import HEADS, Frame, Generator, Sample, Stock, in_scenes, load_stock
-from slow_node.understanding.reader import Reader
+from slow_node.training.generate import Frame, Generator, Sample, Stock, in_scenes, load_stock
+from slow_node.understanding.reader import HEADS, Reader
 from slow_node.understanding.slots import Slots
 
 run = CliRunner()

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from deploy.cli.app import app
 from deploy.lab import study
+from deploy.lab.evaluate import wilson95
 from deploy.lab.study import (
     Cell,
     cells_of,
@@ -340,7 +341,7 @@ def test_the_summary_is_the_hand_computed_one() -> None:
     )
     ours = rows[0]
     assert (ours["seeds"], ours["return"], ours["return_early"], ours["episodes"]) == (2, 2.5, 1.5, 200)
-    assert ours["success_ci95"] == pytest.approx(study.wilson95(100, 200))
+    assert ours["success_ci95"] == pytest.approx(wilson95(100, 200))
     assert ours["above_a2c"] == {"bare": 3.5}  # 3.5 above a return of -1, in shares of its size
 
 

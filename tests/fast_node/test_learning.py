@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from fast_node.training.learner import (
     update,
 )
 from fast_node.training.network import ActorCritic
+from fast_node.training.rollout import Mixed
 from fast_node.training.train import export, train
 from schemas.driving.features import FEATURES, N_ROWS, features
 from schemas.runtime.process import ConfigError
@@ -95,7 +97,7 @@ def first_batch(tmp_path, monkeypatch) -> tuple[tuple[np.ndarray, ...], np.ndarr
         return seen[-1][1]
 
     monkeypatch.setattr(training, "advantages", spy)
-    train(Endings(), tmp_path / "p.safetensors", steps=32, seed=0, progress=lambda *_: None)
+    train(cast(Mixed, Endings()), tmp_path / "p.safetensors", steps=32, seed=0, progress=lambda *_: None)
     torch.manual_seed(0)
     return *seen[0], ActorCritic()
 
@@ -140,7 +142,7 @@ class Table(torch.nn.Module):
         return self.logits.expand(len(x), 5), self.value.expand(len(x))
 
 
-def updated(log_ratio: float = 0.0, **config: float) -> tuple[Table, dict[str, float]]:
+def updated(log_ratio: float = 0.0, **config: Any) -> tuple[Table, dict[str, float]]:
     """One step of size 1 on two decisions, actions 0 and 1, whose advantages are 1 and -1 and value targets 1 and 3."""
     net = Table()
     batch = {
@@ -152,7 +154,9 @@ def updated(log_ratio: float = 0.0, **config: float) -> tuple[Table, dict[str, f
         "value_target": torch.tensor([1.0, 3.0]),
     }
     settings = LearnerConfig(epochs=1, max_grad_norm=1e9, **config)
-    return net, update(net, torch.optim.SGD(net.parameters(), lr=1.0), settings, batch, torch.Generator())
+    return net, update(
+        cast(ActorCritic, net), torch.optim.SGD(net.parameters(), lr=1.0), settings, batch, torch.Generator()
+    )
 
 
 def test_an_update_follows_the_hand_computed_policy_gradient():

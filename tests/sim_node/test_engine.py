@@ -17,10 +17,13 @@ from highway_env.vehicle.objects import Obstacle
 pytest.importorskip("numba")
 
 from deploy.bench import sim
+from schemas.driving import measures
 from schemas.wire.messages import MetaAction
+from sim_node import executor
 from sim_node.engine import bridge, kernel, loops, parity
 from sim_node.engine.accelerated import accelerate
-from sim_node.engine.batched import ABSENT_X_M, Batched
+from sim_node.engine.batched import Batched
+from sim_node.engine.kernel import ABSENT_X_M
 from sim_node.scenarios import SCENARIOS
 from sim_node.traffic import TrafficVehicle
 
@@ -240,7 +243,7 @@ def test_one_compilation_serves_every_road_and_every_number_of_scenes() -> None:
 def test_the_cache_key_follows_the_sources(monkeypatch: pytest.MonkeyPatch) -> None:
     before = kernel.sources_digest()
     assert before == kernel.sources_digest()
-    monkeypatch.setattr(kernel.executor, "__file__", kernel.measures.__file__)
+    monkeypatch.setattr(executor, "__file__", measures.__file__)
     assert before != kernel.sources_digest()
 
 

@@ -60,10 +60,13 @@ def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     return noted
 
 
-BUSY, BROKEN, WRONG_KEY = (429, {}, b""), (500, {}, b""), (401, {}, b"")
-BAD_REQUEST = (400, {}, b'{"error": "response_format is not supported"}')
-HTML = (200, {"Content-Type": "text/html"}, b"<!doctype html><title>Log in</title>")
-TRUNCATED = (200, {}, b'{"choices": [{"mess')
+Answer = tuple[int, dict[str, str], bytes]
+BUSY: Answer = (429, {}, b"")
+BROKEN: Answer = (500, {}, b"")
+WRONG_KEY: Answer = (401, {}, b"")
+BAD_REQUEST: Answer = (400, {}, b'{"error": "response_format is not supported"}')
+HTML: Answer = (200, {"Content-Type": "text/html"}, b"<!doctype html><title>Log in</title>")
+TRUNCATED: Answer = (200, {}, b'{"choices": [{"mess')
 PASSING: dict[str, object] = {
     "429": BUSY,
     "500": BROKEN,
