@@ -7,13 +7,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.scripted import model_of
+from tests.waiting import until
 
 RUN = [sys.executable, "-m", "deploy", "run", "--port", "0", "--json", "--seed", "3"]
 ROOT = Path(__file__).parents[2]
@@ -30,20 +30,22 @@ def start(tmp_path: Path, *more: str, **model_env: str) -> subprocess.Popen[str]
     )
 
 
-def child_of(parent: int, module: str, timeout_s: float = 30.0) -> int:
-    """The pid of a running child process `python -m module`."""
-    until = time.monotonic() + timeout_s
-    while time.monotonic() < until:
-        for entry in Path("/proc").glob("[0-9]*"):
-            try:
-                words = (entry / "cmdline").read_bytes().split(b"\0")
-                ppid = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
-            except OSError:
-                continue
-            if ppid == parent and b"-m" in words and words[words.index(b"-m") + 1] == module.encode():
-                return int(entry.name)
-        time.sleep(0.1)
-    raise AssertionError(f"no process {module}")
+def child_of(parent: int, module: str) -> int:
+    """The pid of a running child process `python -m module`; 0 where there is none."""
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (entry / "cmdline").read_bytes().split(b"\0")
+            ppid = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
+        except OSError:
+            continue
+        if ppid == parent and b"-m" in words and words[words.index(b"-m") + 1] == module.encode():
+            return int(entry.name)
+    return 0
+
+
+def heard(folder: Path) -> bool:
+    """Whether the slow node of the run in `folder` has said that it thinks about a command."""
+    return any('"heard"' in log.read_text() for log in folder.glob("runs/*/slow.jsonl"))
 
 
 def hurried(prompt: str) -> str:
@@ -76,11 +78,10 @@ def test_a_passenger_in_a_hurry_is_taken_past_the_slow_car_as_in_the_papers_case
 @pytest.mark.parametrize("victim", ["slow_node", "slow_node.llm.embedded"])
 def test_killing_the_slow_side_in_mid_thought_costs_no_tick_and_it_comes_back(tmp_path, victim):
     running = start(tmp_path, "--duration", "20", "--say", "please overtake the car ahead", "--say-at", "6")
+    until(lambda: heard(tmp_path), "the command was not heard")
     slow = child_of(running.pid, victim)
-    time.sleep(10)
     os.kill(slow, signal.SIGKILL)
-    time.sleep(4)
-    assert child_of(running.pid, victim) != slow
+    until(lambda: child_of(running.pid, victim) not in (0, slow), f"{victim} did not come back")
     out, _ = running.communicate(timeout=90)
     summary = json.loads(out)
     assert summary["restarts"] == 1
