@@ -12,18 +12,33 @@ from hypothesis import strategies as st
 
 from fast_node.mask import OPEN, PRESETS, RULES, Preset, close_actions
 from fast_node.mask.neighbours import half_width
+from schemas.driving.road import (
+    ID,
+    LANE_END,
+    LANE_LIMIT,
+    LANE_OPENS,
+    LANE_RAMP,
+    LANE_START,
+    LANE_WAY,
+    LANE_Y,
+    VX,
+    X,
+    Y,
+    lane_table,
+)
 from schemas.wire.messages import MetaAction
 from sim_node import executor
-
-LANES = [(0.0, 0.0, 3000.0, -1.0, 4.0, 8.0, -1e9, 0.0), (4.0, 0.0, 3000.0, 1.0, 4.0, 8.0, -1e9, 0.0)]
+from tests import scenes as by_hand
+from tests.scenes import car
 
 SIGHT_M = 250.0
 
 SIM = PRESETS["sim"]
 
 
-def car(number: int, x: float, lane: int, speed: float, y: float | None = None) -> list[float]:
-    return [float(number), x, 4.0 * lane if y is None else y, speed, 0.0, 0.0, 5.0, 2.0, float(lane)]
+ROADS_BY_HAND = {"two-way": by_hand.TWO_WAY, "highway": by_hand.HIGHWAY, "merge": by_hand.MERGE}
+ROADS = {name: lane_table(lanes) for name, lanes in ROADS_BY_HAND.items()}
+LANES, HIGHWAY, RAMP = ROADS["two-way"], ROADS["highway"], ROADS["merge"]
 
 
 def judge(
@@ -41,21 +56,10 @@ def closed(rows: list[list[float]], *, target_speed: float = 5.0, lane: int = 1,
     return {a: RULES[r] for a, r in enumerate(rule) if r != OPEN}
 
 
-HIGHWAY = [(4.0 * k, 0.0, 9000.0, 1.0, 4.0, 28.0, -1e9, 0.0) for k in range(4)]
-
-RAMP = [
-    (0.0, 0.0, 750.0, 1.0, 4.0, 20.0, -1e9, 0.0),
-    (4.0, 0.0, 750.0, 1.0, 4.0, 20.0, -1e9, 0.0),
-    (8.0, 0.0, 350.0, 1.0, 4.0, 20.0, 230.0, 1.0),
-]
-
-
 def closed_on(lanes, rows, lane: int, previous: int = -1, target_speed: float | None = None) -> dict[int, str]:
-    rule, _ = judge(rows, lanes, rows[0][3] if target_speed is None else target_speed, lane, previous)
+    rule, _ = judge(rows, lanes, rows[0][VX] if target_speed is None else target_speed, lane, previous)
     return {a: RULES[r] for a, r in enumerate(rule) if r != OPEN}
 
-
-ROADS = {"two-way": LANES, "highway": HIGHWAY, "merge": RAMP}
 
 EGO_X_M = {"two-way": (500.0, 500.0), "highway": (500.0, 500.0), "merge": (200.0, 345.0)}
 
@@ -71,7 +75,7 @@ class Scene(NamedTuple):
 
 
 def nearest_lane(lanes, y: float) -> int:
-    return min(range(len(lanes)), key=lambda k: abs(lanes[k][0] - y))
+    return min(range(len(lanes)), key=lambda k: abs(lanes[k][LANE_Y] - y))
 
 
 @st.composite
@@ -79,31 +83,29 @@ def scenes(draw: st.DrawFn) -> Scene:
     """Any road, a change under way or none, cars anywhere on it, moving sideways and standing askew."""
     name = draw(st.sampled_from(sorted(ROADS)))
     lanes = ROADS[name]
-    top = 1.5 * lanes[-1][5]
+    top = 1.5 * lanes[-1][LANE_LIMIT]
     aim = draw(st.integers(0, len(lanes) - 1))
     previous = draw(st.sampled_from([-1, *(k for k in (aim - 1, aim + 1) if 0 <= k < len(lanes))]))
-    start_y = lanes[aim if previous < 0 else previous][0]
-    y = start_y + draw(st.floats(0.0, 1.0)) * (lanes[aim][0] - start_y)
+    start_y = lanes[aim if previous < 0 else previous][LANE_Y]
+    y = start_y + draw(st.floats(0.0, 1.0)) * (lanes[aim][LANE_Y] - start_y)
     sideways, askew = st.floats(-2.5, 2.5), st.floats(-0.6, 0.6)
     changing = previous >= 0
     rows = [
-        [
-            0.0,
+        car(
+            0,
             draw(st.floats(*EGO_X_M[name])),
-            y,
+            nearest_lane(lanes, y),
             draw(st.floats(0, top)),
-            draw(sideways) if changing else 0.0,
-            draw(askew) if changing else 0.0,
-            5.0,
-            2.0,
-            float(nearest_lane(lanes, y)),
-        ]
+            y,
+            vy_mps=draw(sideways) if changing else 0.0,
+            heading_rad=draw(askew) if changing else 0.0,
+        )
     ]
     others = draw(
         st.lists(
             st.tuples(
                 st.floats(-100, 200),
-                st.floats(-0.5, lanes[-1][0] + 0.5),
+                st.floats(-0.5, lanes[-1][LANE_Y] + 0.5),
                 st.floats(0, top),
                 st.just(0.0) | sideways,
                 st.just(0.0) | askew,
@@ -113,9 +115,8 @@ def scenes(draw: st.DrawFn) -> Scene:
     )
     for number, (dx, aside, speed, vy, heading) in enumerate(others, 11):
         k = nearest_lane(lanes, aside)
-        rows.append(
-            [float(number), rows[0][1] + dx, aside, math.copysign(speed, lanes[k][3]), vy, heading, 5.0, 2.0, float(k)]
-        )
+        along = math.copysign(speed, lanes[k][LANE_WAY])
+        rows.append(car(number, rows[0][X] + dx, k, along, aside, vy_mps=vy, heading_rad=heading))
     rows = np.array(rows, np.float32).tolist()  # as they come over the bus
     return Scene(lanes, rows, draw(st.floats(0, top)), aim, previous)
 
@@ -156,15 +157,15 @@ class Ego(NamedTuple):
 
     def moved(self, meta: int, lanes, speed_ceiling: float) -> Ego:
         """One tick later, as the simulator's executor and bicycle model have it."""
-        gates = [(b[1], b[2], b[6], b[7]) for b in lanes]
+        gates = [(b[LANE_START], b[LANE_END], b[LANE_OPENS], b[LANE_RAMP]) for b in lanes]
         target, lane, previous = executor.edit_set_points(
             meta, self.target_speed, self.lane, self.previous, gates, self.x, math.nan, 0.0, speed_ceiling
         )
         accel = executor.acceleration_command(self.speed, target, self.accel, meta, DT)
-        steering = executor.steering_command(self.y, self.heading, self.speed, lanes[lane][0], 0.0)
+        steering = executor.steering_command(self.y, self.heading, self.speed, lanes[lane][LANE_Y], 0.0)
         slip = math.atan(0.5 * math.tan(steering))
         y = self.y + self.speed * math.sin(self.heading + slip) * DT
-        if previous >= 0 and executor.change_finished(y, lanes[lane][0]):
+        if previous >= 0 and executor.change_finished(y, lanes[lane][LANE_Y]):
             previous = -1
         return Ego(
             self.x + self.speed * math.cos(self.heading + slip) * DT,
@@ -178,17 +179,9 @@ class Ego(NamedTuple):
         )
 
     def row(self, lanes) -> list[float]:
-        return [
-            0.0,
-            self.x,
-            self.y,
-            self.speed * math.cos(self.heading),
-            self.speed * math.sin(self.heading),
-            self.heading,
-            5.0,
-            2.0,
-            float(nearest_lane(lanes, self.y)),
-        ]
+        along, aside = self.speed * math.cos(self.heading), self.speed * math.sin(self.heading)
+        near = nearest_lane(lanes, self.y)
+        return car(0, self.x, near, along, self.y, vy_mps=aside, heading_rad=self.heading)
 
 
 def ahead_by(
@@ -205,12 +198,12 @@ def ahead_by(
     seen."""
     for tick in range(round(seconds / DT)):
         rows = rows_at(tick * DT, ego, lanes, others)
-        seen = [r for r in rows if abs(r[1] - ego.x) <= SIGHT_M]
+        seen = [r for r in rows if abs(r[X] - ego.x) <= SIGHT_M]
         rule, _ = judge(seen, lanes, ego.target_speed, ego.lane, ego.previous, preset)
         if tick == 0 and rule[first] != OPEN:
             return
         meta = first if tick == 0 else next((a for a in liking if rule[a] == OPEN), MetaAction.EMERGENCY_BRAKE)
-        ego = ego.moved(int(meta), lanes, lanes[-1][5])
+        ego = ego.moved(int(meta), lanes, lanes[-1][LANE_LIMIT])
         yield ego, rows_at((tick + 1) * DT, ego, lanes, others)
 
 
@@ -222,7 +215,9 @@ def touched(rows) -> list[int]:
     """Ids of the cars that the ego overlaps."""
     ego = rows[0]
     return [
-        int(r[0]) for r in rows[1:] if abs(r[1] - ego[1]) < 5.0 and abs(r[2] - ego[2]) < half_width(r) + half_width(ego)
+        int(r[ID])
+        for r in rows[1:]
+        if abs(r[X] - ego[X]) < 5.0 and abs(r[Y] - ego[Y]) < half_width(r) + half_width(ego)
     ]
 
 

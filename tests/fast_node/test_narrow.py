@@ -42,7 +42,7 @@ def narrowed(
 
 
 def test_giving_up_the_way_home_is_not_narrowed_down_to_braking():
-    beside = [car(0, 500, 0, 0, y=0.0), car(11, 499, 1, 0, y=3.0)]
+    beside = [car(0, 500, 0, 0, y_m=0.0), car(11, 499, 1, 0, y_m=3.0)]
     rule, _ = judge(beside, LANES, 0.0, 1, 0, PRESETS["cautious"])
     near = [0] * 6
     survey(beside, LANES, near)

@@ -16,8 +16,9 @@ from fast_node.mask import OPEN, PRESETS, lane_table
 from fast_node.node import FastNode
 from fast_node.policies.attention import load_policy
 from schemas.wire.codec import rows_of
-from schemas.wire.messages import Directive, Lane, Manoeuvre, MetaAction, Observation, Style
-from tests.mask_scenes import ROADS, SIGHT_M, Scene, judge, presets, scenes
+from schemas.wire.messages import Directive, Manoeuvre, MetaAction, Observation, Style
+from tests.mask_scenes import ROADS, ROADS_BY_HAND, SIGHT_M, Scene, judge, presets, scenes
+from tests.scenes import observation
 
 directives = st.none() | st.builds(
     Directive,
@@ -38,31 +39,13 @@ directives = st.none() | st.builds(
 BROKEN = [(math.nan,) * 5, (math.inf, 0.0, 0.0, 0.0, 0.0), (0.0, 1.0), ()]
 """Logits of a policy that fails."""
 
-KINDS = {"two-way": ("oncoming", "main"), "highway": ("main",) * 4, "merge": ("main", "main", "ramp")}
-
 
 def seen_at(tick: int, scene: Scene) -> Observation:
-    kinds = KINDS[next(n for n, table in ROADS.items() if table is scene.lanes)]
-    lanes = tuple(
-        Lane(
-            y_m=b[0],
-            start_m=b[1],
-            end_m=b[2],
-            direction=int(b[3]),
-            width_m=b[4],
-            speed_limit_mps=b[5],
-            change_from_m=b[6],
-            kind=kind,
-        )
-        for b, kind in zip(scene.lanes, kinds, strict=True)
-    )
-    return Observation(
-        epoch=1,
-        stamp_ns=0,
+    road = next(name for name, table in ROADS.items() if table is scene.lanes)
+    return observation(
+        *scene.rows,
+        lanes=ROADS_BY_HAND[road],
         tick=tick,
-        scenario="",
-        lanes=lanes,
-        rows=np.array(scene.rows, np.float32).tobytes(),
         target_lane=scene.lane,
         target_speed_mps=scene.target_speed,
         previous_lane=scene.previous,

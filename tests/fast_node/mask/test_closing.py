@@ -6,6 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 
 from fast_node.mask import OPEN, PRESETS, RULES, VERSION
+from schemas.driving.road import ID
 from schemas.wire.messages import MetaAction
 from tests import mask_behaviour
 from tests.mask_scenes import SIGHT_M, judge, presets, scenes
@@ -15,7 +16,7 @@ from tests.mask_scenes import SIGHT_M, judge, presets, scenes
 @given(scenes(), presets)
 def test_emergency_braking_is_always_open_and_every_closure_has_a_rule_and_a_vehicle_that_is_there(scene, preset):
     rule, vehicle = judge(scene.rows, scene.lanes, scene.target_speed, scene.lane, scene.previous, PRESETS[preset])
-    seen = {int(row[0]) for row in scene.rows[1:]}
+    seen = {int(row[ID]) for row in scene.rows[1:]}
     assert rule[MetaAction.EMERGENCY_BRAKE] == OPEN
     assert all(RULES[r] for r in rule if r != OPEN)
     assert all(v == -1 or (r != OPEN and v in seen) for r, v in zip(rule, vehicle, strict=True))

@@ -43,8 +43,7 @@ def test_a_faster_car_behind_in_the_next_lane_closes_the_change():
 
 
 def test_a_car_that_moves_into_the_next_lane_from_beyond_closes_the_change():
-    rows = [car(0, 500, 2, 22), [*car(4, 498, 0, 22)[:4], 1.5, *car(4, 498, 0, 22)[5:]]]
-    rows[1][2] = 1.0
+    rows = [car(0, 500, 2, 22), car(4, 498, 0, 22, y_m=1.0, vy_mps=1.5)]
     assert closed_on(HIGHWAY, rows, 2)[MetaAction.LEFT] == "rear gap in lane"
 
 

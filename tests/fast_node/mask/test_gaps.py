@@ -40,22 +40,19 @@ def test_the_set_point_may_not_exceed_what_the_gap_admits():
 
 
 def test_a_car_that_cuts_in_ahead_limits_the_speed_before_it_is_in_the_lane():
-    rows = [car(0, 500, 2, 25), car(4, 536, 1, 20)]
-    rows[1][4], rows[1][2] = 1.5, 5.5
+    rows = [car(0, 500, 2, 25), car(4, 536, 1, 20, y_m=5.5, vy_mps=1.5)]
     assert closed_on(HIGHWAY, rows, 2)[MetaAction.CRUISE] == "speed above the gap's"
 
 
 def test_a_car_that_crosses_the_lane_between_limits_the_speed_however_fast_it_crosses():
-    crossing = car(1, 545, 1, 15, y=5.2)
-    crossing[4] = 4.5
-    behind_it = [car(0, 500, 3, 25, y=10.7), crossing]
+    crossing = car(1, 545, 1, 15, y_m=5.2, vy_mps=4.5)
+    behind_it = [car(0, 500, 3, 25, y_m=10.7), crossing]
     assert RULES[judge(behind_it, HIGHWAY, 25.0, 2, 3)[0][MetaAction.CRUISE]] == "speed above the gap's"
 
 
 @pytest.mark.parametrize(("drift", "in_the_way"), [(0.25, True), (0.0, False), (-0.25, False)])
 def test_a_car_ahead_in_the_next_lane_is_in_the_way_where_it_drifts_towards_the_ego(drift: float, in_the_way: bool):
-    rows = [car(0, 500, 2, 20), car(4, 508, 1, 20, y=5.65)]
-    rows[1][4] = drift
+    rows = [car(0, 500, 2, 20), car(4, 508, 1, 20, y_m=5.65, vy_mps=drift)]
     assert (closed_on(HIGHWAY, rows, 2).get(MetaAction.CRUISE) == "lead too close") == in_the_way
 
 
@@ -76,10 +73,9 @@ def test_the_ego_brakes_sideways_as_the_mask_takes_it_to(preset, speed, ticks):
 
 
 def test_a_car_that_stands_askew_is_as_wide_as_it_is():
-    rows = [car(0, 500, 1, 10), car(1, 515, 2, 0, y=7.0)]
-    assert MetaAction.CRUISE not in closed_on(RAMP, rows, 1)
-    rows[1][5] = 0.9
-    assert MetaAction.CRUISE in closed_on(RAMP, rows, 1)
+    ego = car(0, 500, 1, 10)
+    assert MetaAction.CRUISE not in closed_on(RAMP, [ego, car(1, 515, 2, 0, y_m=7.0)], 1)
+    assert MetaAction.CRUISE in closed_on(RAMP, [ego, car(1, 515, 2, 0, y_m=7.0, heading_rad=0.9)], 1)
 
 
 @every_preset

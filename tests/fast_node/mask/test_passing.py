@@ -9,6 +9,7 @@ from fast_node.mask import PRESETS, RULES
 from fast_node.mask.neighbours import survey
 from fast_node.mask.passing import pass_time_s, passing
 from fast_node.mask.vocabulary import Situation
+from schemas.driving.road import LANE_LIMIT
 from schemas.wire.messages import MetaAction
 from tests.mask_scenes import (
     EAGER,
@@ -78,7 +79,7 @@ def test_after_an_open_pass_nobody_meets_an_oncoming_car_that_comes_at_its_limit
     preset, v, lead_v, gap, meeting_gap, accel, liking
 ):
     p = PRESETS[preset]
-    others = [(1, steady(505.0 + gap, lead_v)), (0, steady(505.0 + meeting_gap, -LANES[0][5]))]
+    others = [(1, steady(505.0 + gap, lead_v)), (0, steady(505.0 + meeting_gap, -LANES[0][LANE_LIMIT]))]
     for _, rows in ahead_by(2.0, in_lane(1, v, accel), LANES, others, MetaAction.LEFT, liking, p):
         assert not touched(rows)
 
@@ -88,7 +89,7 @@ def test_after_an_open_pass_nobody_meets_an_oncoming_car_that_comes_at_its_limit
 @given(st.floats(0, 8), st.floats(0, 8), st.floats(0.1, 40), st.floats(20, 400), accels)
 def test_an_open_pass_is_over_before_an_oncoming_car_at_its_limit_arrives(preset, v, lead_v, gap, meeting_gap, accel):
     p = PRESETS[preset]
-    others = [(1, steady(505.0 + gap, lead_v)), (0, steady(505.0 + meeting_gap, -LANES[0][5]))]
+    others = [(1, steady(505.0 + gap, lead_v)), (0, steady(505.0 + meeting_gap, -LANES[0][LANE_LIMIT]))]
     home = (MetaAction.RIGHT, *EAGER)
     for _, rows in ahead_by(30.0, in_lane(1, v, accel), LANES, others, MetaAction.LEFT, home, p):
         assert not touched(rows)
