@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -9,6 +10,8 @@ import pytest
 from hypothesis import settings
 
 from tests import guards
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the nodes' own __main__ do, before NumPy loads
 
 # "default" draws the same examples every time, so that one revision of the code has one verdict. To hunt for new
 # counter-examples: pytest --hypothesis-profile=search, which draws others each time, and ten times as many.

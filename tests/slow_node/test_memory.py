@@ -5,12 +5,9 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-import os
 import sqlite3
 from collections.abc import Callable, Iterator
 from pathlib import Path
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the node's own __main__ does, before NumPy loads
 
 import numpy as np
 import pytest
