@@ -435,6 +435,7 @@ def test_unanswered_ticks_last_their_period_and_skipped_ones_are_counted(tmp_pat
 
 
 @pytest.mark.parametrize("direct", [True, False])
+@pytest.mark.realtime
 def test_two_simulators_on_one_bus_are_answered_by_their_own_fast_nodes(tmp_path: Path, direct: bool) -> None:
     point = scale._pairs(tmp_path, "auto", 1.0, 2, direct=direct)
     assert 28 <= point["n"] <= 32
@@ -544,6 +545,7 @@ needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason=
 
 
 @needs_proc
+@pytest.mark.realtime
 def test_without_ours_the_others_are_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FASTSLOW_TEST", mark := str(uuid4()))
     samples = latency.Samples()
@@ -570,6 +572,7 @@ def test_only_without_ours_or_the_floor_the_benchmark_fails(
 
 @needs_proc
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.realtime
 def test_a_signal_ends_the_benchmark_and_all_it_started(tmp_path: Path, number: int, code: int) -> None:
     with started(tmp_path, *FLOOR_ALONE) as (process, mark):
         wait_for(mark, "deploy.bench.peers")
@@ -644,12 +647,14 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], 
     return result, folder
 
 
+@pytest.mark.realtime
 def test_every_contender_is_measured_at_both_paces(measured: tuple[dict[str, Any], Path]) -> None:
     assert {(row["what"], row["pace"]) for row in measured[0]["rows"]} == {
         (what, pace) for what in ("floor", "bus", "bus-default", "ours") for pace in ("15hz", "back-to-back")
     }
 
 
+@pytest.mark.realtime
 def test_a_peer_that_cannot_start_is_absent_with_its_last_words(measured: tuple[dict[str, Any], Path]) -> None:
     words = "end ended with code 1: ImportError: libzmq.so.5: no such file"
     assert [(row["what"], row["pace"], words in row["why"]) for row in measured[0]["absent"]] == [
@@ -658,6 +663,7 @@ def test_a_peer_that_cannot_start_is_absent_with_its_last_words(measured: tuple[
     ]
 
 
+@pytest.mark.realtime
 def test_a_row_is_what_was_promised(measured: tuple[dict[str, Any], Path]) -> None:
     assert set(measured[0]["rows"][0]) == {
         "what",
@@ -673,27 +679,32 @@ def test_a_row_is_what_was_promised(measured: tuple[dict[str, Any], Path]) -> No
     }
 
 
+@pytest.mark.realtime
 def test_the_paced_loop_is_measured_at_every_tick(measured: tuple[dict[str, Any], Path]) -> None:
     [ours] = [row for row in measured[0]["rows"] if (row["what"], row["pace"]) == ("ours", "15hz")]
     assert 29 <= ours["n"] + measured[0]["loads"]["none"]["skipped_ticks"] <= 31
 
 
+@pytest.mark.realtime
 def test_the_parts_of_a_tick_are_all_there(measured: tuple[dict[str, Any], Path]) -> None:
     parts = measured[0]["parts_us"]["none"]
     assert tuple(parts) == latency.PARTS
     assert all(part["p50"] > 0 for name, part in parts.items() if name != "bus out")  # which may overlap the put
 
 
+@pytest.mark.realtime
 def test_the_age_of_what_is_applied_is_about_a_period(measured: tuple[dict[str, Any], Path]) -> None:
     assert measured[0]["loads"]["none"]["applied_age_us"]["p50"] > latency.PERIOD_NS / 1000.0 / 2
 
 
+@pytest.mark.realtime
 def test_all_say_how_late_they_were_and_how_they_are_scheduled(measured: tuple[dict[str, Any], Path]) -> None:
     paced = measured[0]["loads"]["none"]
     assert paced["timer_late_us"].keys() == {"floor", "bus", "bus-default", "ours"}
     assert paced["scheduling"].keys() == {"floor", "bus", "bus-default", "sim", "fast"}
 
 
+@pytest.mark.realtime
 def test_the_text_says_what_the_result_does(measured: tuple[dict[str, Any], Path]) -> None:
     result = measured[0]
     said = "\n".join(latency.lines(result))
@@ -733,6 +744,7 @@ def test_the_text_marks_what_cannot_be_judged() -> None:
     assert any("minus back to back: 300 us" in line for line in said)
 
 
+@pytest.mark.realtime
 def test_the_saved_result_can_be_compared(measured: tuple[dict[str, Any], Path]) -> None:
     saved = str(measured[1] / "out" / "latency.json")
     done = fastslow("bench", "compare", saved, saved, "--json", cwd=measured[1])
@@ -740,5 +752,6 @@ def test_the_saved_result_can_be_compared(measured: tuple[dict[str, Any], Path])
     assert [row["p50_us"]["ratio"] for row in rows] == [1.0] * len(measured[0]["rows"]) == [1.0] * 8
 
 
+@pytest.mark.realtime
 def test_the_picture_is_drawn(measured: tuple[dict[str, Any], Path]) -> None:
     assert (measured[1] / "picture.png").read_bytes().startswith(b"\x89PNG")

@@ -78,6 +78,7 @@ def test_the_rule_behind_the_mask_never_collides_and_doing_nothing_mostly_does()
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.slow
 def test_no_scene_is_trivial_and_none_is_hopeless(name: str) -> None:
     scenario, seeds = SCENARIOS[name], range(1000, 1040)
     for same in ("cruise", "faster", "slower", "left", "right"):

@@ -112,6 +112,7 @@ def test_a_baseline_for_other_features_is_refused_with_the_fix(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("variant", ["mask-only", "wish-only"])
+@pytest.mark.slow
 def test_half_a_baseline_is_learnt_measured_and_read_back(variant: str, tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
     run_cell(Cell("a2c", variant, "two-way", 0, 256, 2), tmp_path)
@@ -285,6 +286,7 @@ def test_a_cell_that_was_run_with_other_settings_of_the_baseline_is_run_again(
 
 
 @pytest.mark.parametrize("variant", ["bare", "masked"])
+@pytest.mark.slow
 def test_a_cell_of_another_version_of_the_mask_is_run_again_for_the_reward_depends_on_it_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str
 ) -> None:

@@ -302,6 +302,7 @@ def test_the_process_ends_at_sigterm_and_says_nothing_else(realtime: str) -> Non
         assert "Traceback" not in rest
 
 
+@pytest.mark.realtime
 def test_the_process_ticks_without_listeners_and_publishes_its_final_figures() -> None:
     with tempfile.TemporaryDirectory(prefix="fs") as folder:
         process = start(Path(folder) / "s", duration_s=2.0)

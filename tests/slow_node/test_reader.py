@@ -218,6 +218,7 @@ def test_probabilities_of_every_head_sum_to_one(reader: Reader) -> None:
     assert all(p.shape == (len(HEADS[name]),) and abs(float(p.sum()) - 1.0) < 1e-5 for name, p in found.items())
 
 
+@pytest.mark.slow
 def test_every_text_is_read_without_an_error(reader: Reader) -> None:
     r = random.Random(0)
     texts = [

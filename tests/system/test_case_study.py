@@ -29,6 +29,7 @@ from sim_node.scenarios.highway import HIGHWAY
 from sim_node.scenarios.scenario import EgoPlan, Flow, LanePlan, straight
 
 HZ = 15
+pytestmark = pytest.mark.slow
 
 
 def car(

@@ -41,6 +41,7 @@ def model_env(request: pytest.FixtureRequest) -> Iterator[dict[str, str]]:
 
 
 @pytest.mark.timeout(90)
+@pytest.mark.realtime
 def test_the_ten_commands_go_as_expected_on_the_running_system(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, model_env: dict[str, str]
 ) -> None:

