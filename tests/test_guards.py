@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import socket
 import subprocess
 import sys
@@ -148,3 +149,8 @@ def test_a_search_draws_other_examples_each_time_and_ten_times_as_many(tmp_path:
     one, two = (drawn(tmp_path, "--hypothesis-profile=search") for _ in range(2))
     assert one != two
     assert len(one) == len(two) == 10 * len(drawn(tmp_path))
+
+
+def test_no_test_imports_another() -> None:
+    tests = sorted((ROOT / "tests").rglob("test_*.py"))
+    assert [str(one) for one in tests if re.search(r"^(from|import) .*\btest_", one.read_text(), re.M)] == []

@@ -22,7 +22,7 @@ from schemas.wire.messages import Command, Directive, Event, Observation, Reply,
 from tests.waiting import until
 
 QUICK = RestartPolicy(first_s=0.05, most_s=0.1, grace_s=0.5)
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 SLEEPER = "import time\nwhile True: time.sleep(1)"
 STUBBORN = f"import signal\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\n{SLEEPER}"
@@ -230,7 +230,7 @@ def fastslow(*words: str, folder: Path | None = None) -> subprocess.CompletedPro
         [sys.executable, "-m", "deploy", *words],
         capture_output=True,
         text=True,
-        timeout=30,
+        timeout=120,
         cwd=folder,
         env=env,
         check=False,

@@ -32,7 +32,7 @@ from sim_node.__main__ import REHEARSALS_NS, RehearsingClock
 from tests.scenes import HIGHWAY, car, observation
 from tests.waiting import PATIENCE_S, until
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def fastslow(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
