@@ -30,6 +30,8 @@ _PACKAGES = (
     "httpx",
     "msgspec",
     "numpy",
+    "platformdirs",
+    "psutil",
     "pydantic",
     "safetensors",
     "typer",

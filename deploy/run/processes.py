@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import os
 import socket
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import psutil
+from platformdirs import user_data_path
+
+from deploy.run.launch import python_module
 from schemas.runtime.realtime import Mode
 
 TCP_HOST = "127.0.0.1"
@@ -99,12 +101,7 @@ def choose_model() -> Model:
 def data_folder() -> Path:
     """Where what outlives a run is kept: `FASTSLOW_DATA`, or the platform's data folder."""
     chosen = os.environ.get("FASTSLOW_DATA")
-    if chosen:
-        return Path(chosen)
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Application Support" / "fastslow"
-    base = os.environ.get("XDG_DATA_HOME")
-    return (Path(base) if base else Path.home() / ".local" / "share") / "fastslow"
+    return Path(chosen) if chosen else user_data_path("fastslow", appauthor=False)
 
 
 def router_endpoints(sockets: Path, port: int) -> tuple[str, ...]:
@@ -114,10 +111,6 @@ def router_endpoints(sockets: Path, port: int) -> tuple[str, ...]:
 
 def _socket(sockets: Path, name: str) -> str:
     return f"unixsock-stream/{sockets / name}.sock"
-
-
-def _node(module: str, config: dict[str, object]) -> tuple[str, ...]:
-    return sys.executable, "-m", module, json.dumps(config)
 
 
 def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Process, ...]:
@@ -162,20 +155,25 @@ def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Pro
         "memory_path": str(data_folder() / "memory.sqlite"),
     }
     table = [
-        Process(name="fast", argv=_node("fast_node", fast), critical=True),
+        Process(name="fast", argv=python_module("fast_node", fast), critical=True),
         # The road begins once somebody is there to answer its first tick; hence it is the simulator that links to the
         # fast node, whose socket is there already, and not the other way round, after a retry.
         Process(
-            name="sim", argv=_node("sim_node", sim), critical=True, needs=("fast",), finishes=True, start_s=120.0
+            name="sim",
+            argv=python_module("sim_node", sim),
+            critical=True,
+            needs=("fast",),
+            finishes=True,
+            start_s=120.0,
         ),  # where nothing is compiled yet, on a busy machine
-        Process(name="slow", argv=_node("slow_node", slow), critical=False),
+        Process(name="slow", argv=python_module("slow_node", slow), critical=False),
     ]
     if model.embedded:
         table.insert(
             0,
             Process(
                 name="llm",
-                argv=_node("slow_node.llm.embedded", {"port": model.port, "threads": 1}),
+                argv=python_module("slow_node.llm.embedded", {"port": model.port, "threads": 1}),
                 critical=False,
                 probe_url=f"http://{TCP_HOST}:{model.port}/health",
                 # Its HTTP thread shares the processor with the inference, at a low priority: slow is not dead.
@@ -188,24 +186,10 @@ def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Pro
 
 
 def listener_of(port: int) -> str | None:
-    """Who listens on a TCP port of this host, as `PID (command line)`; None if that cannot be found out."""
-    inodes = set()
-    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
-        try:
-            rows = Path(table).read_text().splitlines()[1:]
-        except OSError:
-            continue
-        for row in rows:
-            columns = row.split()
-            if columns[3] == "0A" and int(columns[1].rpartition(":")[2], 16) == port:
-                inodes.add(f"socket:[{columns[9]}]")
-    if not inodes:
+    """Who listens on a TCP port of this host, as `process PID (command line)`; None if that cannot be found out."""
+    try:
+        sockets = (s for s in psutil.net_connections("tcp") if s.status == psutil.CONN_LISTEN)
+        pid = next((s.pid for s in sockets if s.laddr and s.laddr.port == port and s.pid is not None), None)
+        return f"process {pid} ({' '.join(psutil.Process(pid).cmdline())[:120]})" if pid is not None else None
+    except psutil.Error:  # it has ended meanwhile, or is somebody else's
         return None
-    for process in Path("/proc").glob("[0-9]*"):
-        try:
-            if any(os.readlink(fd) in inodes for fd in (process / "fd").iterdir()):
-                command = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
-                return f"process {process.name} ({command[:120]})"
-        except OSError:  # it has ended meanwhile, or is somebody else's
-            continue
-    return None

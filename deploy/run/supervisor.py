@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import random
 import signal
-import subprocess
 import threading
 import time
 from collections import deque
@@ -21,6 +20,7 @@ from typing import Literal
 
 import msgspec
 
+from deploy.run.launch import Launched, answers, environment, launch
 from deploy.run.processes import NEEDS_WAIT_S, SHUTDOWN_ORDER, Process
 from schemas.runtime.process import CONFIG, FAILED, OK
 
@@ -54,7 +54,7 @@ class Child:
 
     process: Process
     state: State = "waiting"
-    popen: subprocess.Popen[bytes] | None = None
+    launched: Launched | None = None
     due_s: float = 0.0
     """While waiting: when to start it."""
     beat_s: float = 0.0
@@ -85,12 +85,7 @@ class Supervisor:
         self._stopped = False
         self._stepped_s = self._started_s = time.monotonic()
         self._closing = threading.Event()
-        self._env = {
-            # The nodes compute on small arrays: a pool of BLAS threads per node only makes the ticks jitter.
-            **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
-            "PYGAME_HIDE_SUPPORT_PROMPT": "1",
-            **os.environ,
-        }
+        self._env = environment()
 
     @property
     def restarts(self) -> dict[str, int]:
@@ -103,8 +98,8 @@ class Supervisor:
 
     def pid(self, name: str) -> int | None:
         """The process id of a running child."""
-        popen = self._children[name].popen
-        return popen.pid if popen else None
+        launched = self._children[name].launched
+        return launched.pid if launched else None
 
     def start(self) -> None:
         """Begin: each process starts as soon as those that it needs are ready."""
@@ -117,7 +112,7 @@ class Supervisor:
     def beat(self, name: str, pid: int) -> None:
         """A heartbeat of a node. One that a killed predecessor sent last is not its successor's."""
         child = self._children.get(name)
-        if child is not None and child.popen is not None and child.popen.pid == pid:
+        if child is not None and child.launched is not None and child.launched.pid == pid:
             self._heard(child, time.monotonic())
 
     def step(self) -> int | None:
@@ -137,11 +132,11 @@ class Supervisor:
     def _look_after(self, child: Child, now: float) -> int | None:
         if child.state in ("ended", "gave up"):
             return None
-        if child.popen is None:
+        if child.launched is None:
             if now >= child.due_s and self._needs_met(child, now):
                 self._spawn(child, now)
             return None
-        code = child.popen.poll()
+        code = child.launched.exit_code()
         if code is not None:
             self._kill(child)  # whatever it started itself
             return self._exited(child, code, now)
@@ -169,20 +164,15 @@ class Supervisor:
 
     def _spawn(self, child: Child, now: float) -> None:
         process = child.process
-        with open(self._folder / f"{process.name}.jsonl", "ab") as log:
-            child.popen = subprocess.Popen(
-                process.argv,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=log,
-                env=self._env,
-                start_new_session=True,  # so that Ctrl-C reaches the supervisor alone, and the order of shutdown holds
-            )
-        if process.nice:
-            try:
-                os.setpriority(os.PRIO_PROCESS, child.popen.pid, process.nice)
-            except OSError:  # it has failed already; the next step sees that
-                pass
+        child.launched = launch(
+            process.name,
+            process.argv,
+            self._folder / f"{process.name}.jsonl",
+            env=self._env,
+            append=True,
+            stdout=False,
+            nice=process.nice,
+        )
         child.probe.clear()
         child.state, child.beat_s = "starting", now
 
@@ -232,28 +222,21 @@ class Supervisor:
         return str(fields.get("detail") or fields.get("event") or "")[:300]
 
     def _probe(self, child: Child) -> None:
-        import httpx  # here, since only the embedded model needs it
-
         while not self._closing.wait(1.0 if child.state == "ready" else 0.25):
-            try:
-                if httpx.get(child.process.probe_url, timeout=2.0, trust_env=False).status_code == 200:
-                    child.probe.set()
-            except httpx.HTTPError:
-                pass
+            if answers(child.process.probe_url, 2.0):
+                child.probe.set()
 
     def _kill(self, child: Child) -> None:
         """SIGKILL to the child's whole process group, at once."""
-        if child.popen is None:
-            return
-        _signal_group(child.popen.pid, signal.SIGKILL)
-        child.popen.wait()
-        child.popen = None
+        if child.launched is not None:
+            child.launched.kill()
+            child.launched = None
 
     def kill(self) -> None:
         """End everything at once. Safe in a signal handler: it waits for nobody."""
         for child in self._children.values():
-            if child.popen is not None:
-                _signal_group(child.popen.pid, signal.SIGKILL)
+            if child.launched is not None:
+                child.launched.signal(signal.SIGKILL)
 
     def stop(self, meanwhile: Callable[[], None] = lambda: None) -> None:
         """Ordered shutdown: each process gets SIGTERM, `grace_s` to finish, then SIGKILL. Calls `meanwhile` often."""
@@ -265,22 +248,9 @@ class Supervisor:
         for child in sorted(self._children.values(), key=lambda c: order.get(c.process.name, -1)):
             if child.state != "gave up":
                 child.state = "ended"
-            if child.popen is None:
-                continue
-            if child.popen.poll() is None:
-                _signal_group(child.popen.pid, signal.SIGTERM)
-            deadline = time.monotonic() + self._policy.grace_s
-            while child.popen.poll() is None and time.monotonic() < deadline:
-                meanwhile()
-                time.sleep(0.01)
-            self._kill(child)
-
-
-def _signal_group(pid: int, number: int) -> None:
-    try:
-        os.killpg(pid, number)
-    except (ProcessLookupError, PermissionError):  # macOS says the latter of a group of zombies
-        pass
+            if child.launched is not None:
+                child.launched.end(self._policy.grace_s, meanwhile)
+                child.launched = None
 
 
 class Signals:

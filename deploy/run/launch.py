@@ -1,0 +1,175 @@
+"""Launches processes and ends them: the only place where a process of ours is started.
+
+A launched process leads a session and a process group of its own. So Ctrl-C in a terminal reaches the launcher alone,
+which ends the others in its own order, and what a process has started itself ends with it. Should the launcher be
+killed outright, our own programs end too: they ask the kernel for that first (`die_with_parent`).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from http.client import HTTPException
+from pathlib import Path
+from typing import Protocol
+
+from schemas.runtime.bus import ONE_POOL
+
+GRACE_S = 3.0
+"""From SIGTERM to SIGKILL."""
+POLL_S = 0.01
+NOWHERE = Path(os.devnull)
+_ROOT = Path(__file__).resolve().parents[2]
+
+
+def environment() -> dict[str, str]:
+    """For our own programs: they run the source that this one runs, wherever it was started."""
+    inherited = {k: v for k, v in os.environ.items() if (k, v) != ("ZENOH_RUNTIME", ONE_POOL)}  # set by `open_bus`
+    paths = [str(_ROOT), *inherited.get("PYTHONPATH", "").split(os.pathsep)]
+    return {
+        # The nodes compute on small arrays: a pool of BLAS threads per node only makes the ticks jitter.
+        **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
+        "PYGAME_HIDE_SUPPORT_PROMPT": "1",
+        **inherited,
+        "PYTHONPATH": os.pathsep.join(dict.fromkeys(filter(None, paths))),
+    }
+
+
+def python_module(module: str, config: Mapping[str, object]) -> tuple[str, ...]:
+    """The command of a program whose only argument is its configuration as JSON."""
+    return sys.executable, "-m", module, json.dumps(config)
+
+
+@dataclass(frozen=True)
+class Launched:
+    """A process, leader of its own group, and the file that it writes to."""
+
+    name: str
+    popen: subprocess.Popen[bytes]
+    log: Path
+
+    @property
+    def pid(self) -> int:
+        return self.popen.pid
+
+    def exit_code(self) -> int | None:
+        """None while it runs; negative: the signal that killed it."""
+        return self.popen.poll()
+
+    def trouble(self) -> str:
+        """How it ended, with its last line; empty while it runs."""
+        code = self.exit_code()
+        if code is None:
+            return ""
+        how = f"ended with code {code}" if code >= 0 else f"was killed by signal {-code}"
+        return f"its {self.name} {how}{self.last_line()}"
+
+    def last_line(self) -> str:
+        """`: ` and the last line it wrote, or nothing."""
+        lines = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return f": {lines[-1].strip()[:200]}" if lines else ""
+
+    def signal(self, number: int) -> None:
+        """Send a signal to its whole group. Waits for nobody, so it may be called in a signal handler."""
+        try:
+            os.killpg(self.pid, number)
+        except (ProcessLookupError, PermissionError):  # macOS says the latter of a group of zombies
+            pass
+
+    def kill(self) -> None:
+        """End its whole group at once, and wait for it."""
+        self.signal(signal.SIGKILL)
+        self.popen.wait()
+
+    def end(self, grace_s: float = GRACE_S, meanwhile: Callable[[], None] = lambda: None) -> None:
+        """SIGTERM, `grace_s` seconds to finish, then SIGKILL. Calls `meanwhile` often."""
+        end_all((self,), grace_s, meanwhile)
+
+
+def end_all(
+    launched: Sequence[Launched], grace_s: float = GRACE_S, meanwhile: Callable[[], None] = lambda: None
+) -> None:
+    """End all at the same time, as `Launched.end` does."""
+    for process in launched:
+        process.signal(signal.SIGTERM)
+    deadline = time.monotonic() + grace_s
+    while any(process.exit_code() is None for process in launched) and time.monotonic() < deadline:
+        meanwhile()
+        time.sleep(POLL_S)
+    for process in launched:
+        process.kill()
+
+
+def launch(
+    name: str,
+    argv: Sequence[str],
+    log: Path = NOWHERE,
+    *,
+    env: Mapping[str, str] | None = None,
+    append: bool = False,
+    stdout: bool = True,
+    nice: int = 0,
+) -> Launched:
+    """Start a process.
+
+    log: where it writes to, anew unless `append`; stdout: as well as stderr. env: `environment()` by default. nice: its
+    niceness, if it is granted. Raises OSError if the log or the program cannot be opened.
+    """
+    with log.open("ab" if append else "wb") as file:
+        popen = subprocess.Popen(
+            argv,
+            stdin=subprocess.DEVNULL,
+            stdout=file if stdout else subprocess.DEVNULL,
+            stderr=file,
+            env=environment() if env is None else env,
+            start_new_session=True,
+        )
+    if nice:
+        try:
+            os.setpriority(os.PRIO_PROCESS, popen.pid, nice)
+        except OSError:  # it has ended already; whoever watches over it sees that
+            pass
+    return Launched(name, popen, log)
+
+
+class Start(Protocol):
+    """`launch`, for what ends with a block."""
+
+    def __call__(
+        self, name: str, argv: Sequence[str], log: Path, *, env: Mapping[str, str] | None = None
+    ) -> Launched: ...
+
+
+@contextmanager
+def children() -> Iterator[Start]:
+    """Yields what launches a process; all of them end with the block, with all that they started."""
+    started: list[Launched] = []
+
+    def start(name: str, argv: Sequence[str], log: Path, *, env: Mapping[str, str] | None = None) -> Launched:
+        started.append(launch(name, argv, log, env=env))
+        return started[-1]
+
+    try:
+        yield start
+    finally:
+        end_all(started)
+
+
+_DIRECT = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+
+
+def answers(url: str, timeout_s: float = 1.0) -> bool:
+    """Whether a server on this host answers a GET with HTTP 200; no proxy is asked."""
+    try:
+        with _DIRECT.open(url, timeout=timeout_s) as response:
+            return bool(response.status == 200)
+    except (OSError, HTTPException):
+        return False

@@ -1,0 +1,27 @@
+"""The embedded language model for those who need it alone, without the rest of the system."""
+
+from __future__ import annotations
+
+import time
+
+from deploy.run.launch import Launched, answers, launch, python_module
+from deploy.run.processes import TCP_HOST
+
+START_S = 30.0
+POLL_S = 0.1
+
+
+def embedded_server(port: int, threads: int, *, adapter: bool, polite: bool = False) -> Launched | None:
+    """The embedded model, serving on this port of loopback; None if it did not start. Whoever starts it ends it.
+
+    adapter, polite: as `slow_node.llm.embedded.EmbeddedConfig` has them.
+    """
+    config = {"port": port, "threads": threads, "adapter": adapter, "polite": polite}
+    server = launch("language model", python_module("slow_node.llm.embedded", config))
+    due = time.monotonic() + START_S
+    while time.monotonic() < due and server.exit_code() is None:
+        if answers(f"http://{TCP_HOST}:{port}/health"):
+            return server
+        time.sleep(POLL_S)
+    server.kill()
+    return None
