@@ -6,21 +6,24 @@ import json
 import secrets
 import sys
 import time
-import urllib.request
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+import psutil
+
+from deploy.bench.machine import host, rss_mb
+from deploy.run.launch import answers, children, environment
 from deploy.run.processes import TCP_HOST, free_port
+from schemas.runtime.bus import Bus, BusConfig, BusError, open_bus
 from schemas.runtime.clock import NS
+from schemas.runtime.process import ConfigError
 from schemas.wire import topics
 from schemas.wire.messages import Command, Directive, Reply, Status
-
-if TYPE_CHECKING:
-    from schemas.runtime.bus import Bus
 
 SCHEMA = "fastslow.bench.passenger/1"
 SCENARIO = "highway"
@@ -33,6 +36,7 @@ DECIDED_S = 15.0
 HIGHWAY_LIMIT_MPS = 28.0
 RIGHTMOST = 3
 NODES = ("sim", "fast", "slow")
+MODEL_MODULE = "slow_node.llm.embedded"
 
 
 @dataclass(frozen=True)
@@ -188,10 +192,6 @@ def _riding(
 
     Raises `ConfigError` if it does not come up.
     """
-    from deploy.bench.contenders import children, environment
-    from schemas.runtime.bus import BusConfig, BusError, open_bus
-    from schemas.runtime.process import ConfigError
-
     port = free_port()
     env = {k: v for k, v in environment().items() if not k.startswith("OPENAI_")}
     env |= {"FASTSLOW_DATA": str(folder / "data"), **model_env}
@@ -199,22 +199,8 @@ def _riding(
     due = time.monotonic() + START_S
     with ExitStack() as stack:
         start = stack.enter_context(children())
-        run = start(
-            "run",
-            folder / "run.log",
-            sys.executable,
-            "-m",
-            "deploy",
-            "run",
-            "--scenario",
-            SCENARIO,
-            "--port",
-            str(port),
-            "--seed",
-            str(seed),
-            *options,
-            env=env,
-        )
+        command = (sys.executable, "-m", "deploy", "run", "--scenario", SCENARIO, "--port", str(port))
+        run = start("run", (*command, "--seed", str(seed), *options), folder / "run.log", env=env)
         while True:
             if (trouble := run.trouble()) or time.monotonic() > due:
                 raise ConfigError(f"the system did not start: {trouble or 'nobody listens'}; see {run.log}")
@@ -226,37 +212,31 @@ def _riding(
         passenger = Passenger(bus)
         nodes = passenger.heard.nodes
         if not passenger.listen(
-            due - time.monotonic(), lambda: all(name in nodes for name in NODES) and _model_ready(run.popen.pid)
+            due - time.monotonic(), lambda: all(name in nodes for name in NODES) and _model_ready(run.pid)
         ):
             raise ConfigError(f"the system did not start: only {', '.join(nodes) or 'nobody'} spoke; see {run.log}")
         pids = {name: nodes[name].pid for name in NODES}
-        if (model := _model(run.popen.pid)) is not None:
+        if (model := _model(run.pid)) is not None:
             pids["llm"] = model[0]
         passenger.listen(SETTLE_S)
         yield passenger, pids
 
 
 def _model(run_pid: int) -> tuple[int, int] | None:
-    """The embedded model's process: its pid and port; None where there is none, or no /proc to tell."""
+    """The embedded model's process: its pid and port; None where there is none."""
     try:
-        for pid in Path(f"/proc/{run_pid}/task/{run_pid}/children").read_text().split():
-            words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
-            if b"slow_node.llm.embedded" in words:
-                return int(pid), int(json.loads(words[words.index(b"slow_node.llm.embedded") + 1])["port"])
-    except OSError:
+        for child in psutil.Process(run_pid).children():
+            words = child.cmdline()
+            if MODEL_MODULE in words:
+                return child.pid, int(json.loads(words[words.index(MODEL_MODULE) + 1])["port"])
+    except psutil.Error:  # one of them has ended meanwhile
         pass
     return None
 
 
 def _model_ready(run_pid: int) -> bool:
     model = _model(run_pid)
-    if model is None:
-        return True
-    try:
-        urllib.request.urlopen(f"http://{TCP_HOST}:{model[1]}/health", timeout=1).close()
-    except OSError:
-        return False
-    return True
+    return model is None or answers(f"http://{TCP_HOST}:{model[1]}/health")
 
 
 # --- the result ----------------------------------------------------------------------------------------------------
@@ -273,9 +253,6 @@ def measure(
 ) -> dict[str, Any]:
     """Ride, say the ten commands `repeats` times, and count. model_env: `OPENAI_*` of an endpoint to ask instead of the
     embedded model. Raises `ConfigError` if the system does not come up."""
-    from deploy.bench.contenders import rss_mb
-    from deploy.bench.latency import host
-
     machine = host("auto")
     with _riding(folder, seed, without, model_env) as (passenger, pids):
         before = passenger.heard.nodes["sim"].figures
@@ -306,8 +283,6 @@ def measure(
 
 
 def _quantiles(values: Sequence[float | None]) -> dict[str, float | int | None]:
-    import numpy as np
-
     known = [value for value in values if value is not None]
     if not known:
         return {"n": 0, "p50": None, "p95": None, "max": None}

@@ -1,6 +1,6 @@
 """`fastslow bench sim`: our two engines beside stock highway-env and, where it is installed, EnvPool, in one run.
 
-Every contender drives highway-v0 from the same seeds with the same random actions, on through crashes, and starts
+Every variant drives highway-v0 from the same seeds with the same random actions, on through crashes, and starts
 anew after `EPISODE_S`; resets are not counted. They take turns, so that a machine whose speed drifts does so for all.
 
 * stock, accelerated: one environment, `step` with observation, reward and info.
@@ -30,6 +30,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.bench.loads import asking
+from deploy.bench.progress import MeasurementError
+from deploy.run.model_server import embedded_server
+from deploy.run.processes import Model, free_port
 from schemas.runtime.process import ConfigError
 
 if TYPE_CHECKING:
@@ -49,7 +53,7 @@ OURS = 24
 PARITY_S = 4.0
 
 
-class Contender(Protocol):
+class Engine(Protocol):
     """Something that makes one decision at a time; `scenes` of them at once."""
 
     scenes: int
@@ -155,10 +159,6 @@ def _loaded(load: str) -> Iterator[None]:
     if load == "none":
         yield
         return
-    from deploy.bench.contenders import Lost, asking
-    from deploy.lab.interpret import embedded_server
-    from deploy.run.processes import Model, free_port
-
     port = free_port()
     server = embedded_server(port, 1, adapter=True, polite=True)
     if server is None:
@@ -166,31 +166,30 @@ def _loaded(load: str) -> Iterator[None]:
     try:
         with asking(Model(base_url=f"http://127.0.0.1:{port}/v1", name="embedded", embedded=True, port=port), {}):
             yield
-    except Lost as lost:
+    except MeasurementError as lost:
         raise ConfigError(str(lost)) from None
     finally:
         server.kill()
-        server.wait()
 
 
 @dataclass
 class _Account:
-    contender: Contender
+    engine: Engine
     cpu_s: float = 0.0
     decisions: int = 0
     wall_ms: list[float] = field(default_factory=list)
 
     def take_turn(self, episode: int, actions: NDArray[np.int64], cpu_s: float) -> None:
         """Decide until this much CPU time is used, or the episode is over."""
-        self.contender.reset(episode)
+        self.engine.reset(episode)
         used = 0.0
         for action in actions:
             wall, cpu = time.perf_counter(), time.process_time()
-            self.contender.decide(action[: self.contender.scenes])
+            self.engine.decide(action[: self.engine.scenes])
             took = time.process_time() - cpu
             self.wall_ms.append(1000.0 * (time.perf_counter() - wall))
             used += took
-            self.decisions += self.contender.scenes
+            self.decisions += self.engine.scenes
             if used >= cpu_s:
                 break
         self.cpu_s += used
@@ -201,12 +200,12 @@ def variants() -> tuple[str, ...]:
     return tuple(v for v in VARIANTS if v != "envpool" or importlib.util.find_spec("envpool") is not None)
 
 
-def _contenders(names: Sequence[str], vehicles: int, policy_hz: int, scenes: int) -> dict[str, _Account]:
+def _accounts(names: Sequence[str], vehicles: int, policy_hz: int, scenes: int) -> dict[str, _Account]:
     from sim_node.engine.accelerated import accelerate
     from sim_node.engine.parity import stock_class
 
     kind = stock_class("highway-v0")
-    makers: dict[str, Callable[[], Contender]] = {
+    makers: dict[str, Callable[[], Engine]] = {
         "batched": lambda: _Batched(kind, vehicles, policy_hz, scenes),
         "accelerated": lambda: _Environment(accelerate(kind), vehicles, policy_hz),
         "stock": lambda: _Environment(kind, vehicles, policy_hz),
@@ -238,7 +237,7 @@ def bench_sim(
 ) -> dict[str, Any]:
     """{"schema", "rows"}; a row per variant, number of vehicles and decision rate.
 
-    seconds: CPU time of each contender in each setting, in `turns` turns; names: of `variants()`, all by default;
+    seconds: CPU time of each variant in each setting, in `turns` turns; names: of `variants()`, all by default;
     scenes: of the batched engine. Raises ValueError for a rate that does not divide 15, an unknown variant or other
     numbers of vehicles than 20 and 50.
     """
@@ -271,7 +270,7 @@ def _measure(
     scenes: int,
     differences: dict[str, float | None],
 ) -> Iterator[dict[str, Any]]:
-    accounts = _contenders(names, vehicles, hz, scenes)
+    accounts = _accounts(names, vehicles, hz, scenes)
     rng = np.random.default_rng(0)
     warm = np.ones((2, scenes), np.int64)
     for account in accounts.values():  # compiles, and fills caches

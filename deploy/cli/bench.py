@@ -39,7 +39,7 @@ def _fail(reason: object) -> typer.Exit:
 @contextmanager
 def _readable_ends() -> Iterator[None]:
     """What ends a benchmark early is one line and an exit code; whatever it has started has ended by then."""
-    from deploy.bench.contenders import Lost
+    from deploy.bench.progress import MeasurementError
     from schemas.runtime.bus import BusError
     from schemas.runtime.process import ConfigError, Stopped, stop_on_signals
 
@@ -49,7 +49,7 @@ def _readable_ends() -> Iterator[None]:
     except Stopped as stopped:
         typer.echo("fastslow: stopped", err=True)
         raise typer.Exit(stopped.code) from None
-    except Lost as lost:
+    except MeasurementError as lost:
         typer.echo(f"fastslow: {lost}", err=True)
         raise typer.Exit(1) from None
     except (ConfigError, BusError, OSError) as error:
@@ -94,24 +94,25 @@ def latency(
     as_json: Json = False,
 ) -> None:
     """Time observation to action on the real processes, beside a floor, the bare bus and other transports."""
-    from deploy.bench import figures
     from deploy.bench import latency as bench
-    from deploy.bench.contenders import LOADS
+    from deploy.bench import latency_report, latency_results
+    from deploy.bench.loads import LOADS
+    from deploy.bench.transports import TRANSPORTS
     from schemas.runtime.realtime import MODES
 
     loads = _chosen(load, LOADS, "--load")
-    peers = () if peer == ["none"] else _chosen(peer, bench.PEERS, "--peer")
+    peers = () if peer == ["none"] else _chosen(peer, TRANSPORTS, "--peer")
     _chosen([realtime], MODES, "--realtime")
     _matplotlib(plot)
     with _readable_ends():
         result, path = bench.run(bench.Options(seconds=seconds, loads=loads, realtime=realtime, peers=peers, out=out))  # type: ignore[arg-type]
         if plot is not None and result["rows"]:
-            figures.plot(result, plot)
+            latency_results.plot(result, plot)
     typer.echo(f"fastslow: kept in {path}", err=True)
     if as_json:
         typer.echo(json.dumps({k: v for k, v in result.items() if k != "histograms"}))
     else:
-        for line in bench.lines(result):
+        for line in latency_report.lines(result):
             typer.echo(line)
     if any(row["what"] in ("ours", "floor") for row in result["absent"]):
         raise typer.Exit(1)
@@ -168,7 +169,7 @@ def sim(
             show_default="all that are installed",
         ),
     ] = None,
-    seconds: Annotated[float, typer.Option(min=0.1, help="CPU time of each contender in each setting.")] = 6.0,
+    seconds: Annotated[float, typer.Option(min=0.1, help="CPU time of each variant in each setting.")] = 6.0,
     load: Annotated[str, typer.Option(help="Beside what: none, or llm (the embedded model without pause).")] = "none",
     as_json: Json = False,
 ) -> None:
@@ -205,17 +206,17 @@ def compare(
 
     What makes the two incomparable is said first. Exit code 1: they have no row in common.
     """
-    from deploy.bench import figures
+    from deploy.bench import latency_results
     from schemas.runtime.process import ConfigError
 
     try:
-        result = figures.compare(figures.read(a), figures.read(b))
+        result = latency_results.compare(latency_results.read(a), latency_results.read(b))
     except ConfigError as error:
         raise _fail(error) from None
     if as_json:
         typer.echo(json.dumps({"schema": "fastslow.bench.compare/1", **result}))
     else:
-        for line in figures.compared(result):
+        for line in latency_results.compared(result):
             typer.echo(line)
     if not result["rows"]:
         typer.echo(f"fastslow: {a} and {b} have no row in common", err=True)

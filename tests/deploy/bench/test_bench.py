@@ -20,11 +20,24 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from deploy.bench import figures, latency, peers, scale
-from deploy.bench.contenders import Lost, Peers, asking, children
-from deploy.bench.peers import PeerConfig, near_end
+from deploy.bench import (
+    latency,
+    latency_report,
+    latency_results,
+    latency_samples,
+    pingpong_end,
+    scale,
+    scale_fast_node,
+    scale_simulators,
+)
+from deploy.bench.loads import asking
+from deploy.bench.pingpongs import PingPongs
+from deploy.bench.progress import MeasurementError
+from deploy.bench.scale_points import breaking_point
+from deploy.bench.transports import EndConfig
 from deploy.cli.bench import app
 from deploy.run import processes
+from deploy.run.launch import children
 from schemas.runtime.clock import ManualClock, MonotonicClock
 from schemas.runtime.process import ConfigError
 from schemas.wire.codec import rows_of
@@ -49,16 +62,16 @@ def fastslow(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 
 def result_of(**took_us: list[float]) -> dict[str, Any]:
-    rows = [figures.row_of(what, "none", "15hz", took) for what, took in took_us.items()]
+    rows = [latency_results.row_of(what, "none", "15hz", took) for what, took in took_us.items()]
     return {
-        "schema": figures.SCHEMA,
+        "schema": latency_results.SCHEMA,
         "rows": [{f: getattr(row, f) for f in row.__struct_fields__} for row in rows],
-        "histograms": {f"{what}/none/15hz": figures.histogram(took) for what, took in took_us.items()},
+        "histograms": {f"{what}/none/15hz": latency_results.histogram(took) for what, took in took_us.items()},
     }
 
 
 def test_a_row_has_the_percentiles_of_its_samples() -> None:
-    row = figures.row_of("ours", "none", "15hz", list(range(1, 5002)))
+    row = latency_results.row_of("ours", "none", "15hz", list(range(1, 5002)))
     assert (row.n, row.p50_us, row.p90_us, row.p99_us, row.p999_us, row.max_us) == (
         5001,
         2501.0,
@@ -71,29 +84,29 @@ def test_a_row_has_the_percentiles_of_its_samples() -> None:
 
 @pytest.mark.parametrize(("ticks", "known"), [(2999, False), (3000, True)])
 def test_p999_takes_3000_ticks(ticks: int, known: bool) -> None:
-    assert (figures.row_of("ours", "none", "15hz", [1.0] * ticks).p999_us is not None) == known
+    assert (latency_results.row_of("ours", "none", "15hz", [1.0] * ticks).p999_us is not None) == known
 
 
 def test_late_and_skipped_ticks_are_misses() -> None:
-    assert figures.row_of("ours", "none", "15hz", [19_999.0, 20_001.0], skipped=3).misses == 4
+    assert latency_results.row_of("ours", "none", "15hz", [19_999.0, 20_001.0], skipped=3).misses == 4
 
 
 def test_a_histogram_keeps_values_within_one_percent() -> None:
-    values, counts = figures.centres(figures.histogram([123.4, 123.4, 45_678.0]))
+    values, counts = latency_results.centres(latency_results.histogram([123.4, 123.4, 45_678.0]))
     assert counts.tolist() == [2, 1]
     assert values == pytest.approx([123.4, 45_678.0], rel=0.01)
 
 
 def test_a_result_does_not_differ_from_itself() -> None:
     one = result_of(ours=np.random.default_rng(0).lognormal(6, 0.3, 2000).tolist())
-    compared = figures.compare(one, one)
+    compared = latency_results.compare(one, one)
     assert [row[p]["differ"] for row in compared["rows"] for p in ("p50_us", "p99_us")] == [False, False]
     assert (compared["only_a"], compared["only_b"], compared["hosts"]) == ([], [], {})
 
 
 def test_a_result_twice_as_slow_is_told_as_such() -> None:
     took = np.random.default_rng(0).lognormal(6, 0.3, 2000)
-    [row] = figures.compare(result_of(ours=took.tolist()), result_of(ours=(2 * took).tolist()))["rows"]
+    [row] = latency_results.compare(result_of(ours=took.tolist()), result_of(ours=(2 * took).tolist()))["rows"]
     assert row["p50_us"]["ratio"] == pytest.approx(2.0, rel=0.01)
     assert row["p50_us"]["differ"]
     assert row["max_us"]["b"] == pytest.approx(2 * row["max_us"]["a"], abs=0.2)
@@ -102,7 +115,7 @@ def test_a_result_twice_as_slow_is_told_as_such() -> None:
 def test_what_makes_two_results_incomparable_is_said() -> None:
     one, other = result_of(ours=[1.0, 30_000.0], zmq=[1.0]), result_of(ours=[1.0, 2.0], dora=[1.0])
     one["host"], other["host"] = ({"realtime": mode, "cpu": "same", "cores": 2} for mode in ("fifo", "user"))
-    said = list(figures.compared(figures.compare(one, other)))
+    said = list(latency_results.compared(latency_results.compare(one, other)))
     assert said[0] == "not the same realtime: fifo and user"
     assert "p99.9 - -> -   max 30000 -> 2   misses 1 -> 0" in said[1]
     assert said[2:4] == ["only in a: zmq/none/15hz", "only in b: dora/none/15hz"]
@@ -121,7 +134,7 @@ def test_a_result_without_histograms_names_the_file_to_take(tmp_path: Path) -> N
     del printed["histograms"]
     (tmp_path / "a.json").write_text(json.dumps(printed))
     with pytest.raises(ConfigError, match=r"latency\.json that the run saved"):
-        figures.read(tmp_path / "a.json")
+        latency_results.read(tmp_path / "a.json")
 
 
 @pytest.mark.parametrize("content", [None, "nonsense", "[]", '{"schema": "another"}'])
@@ -129,7 +142,7 @@ def test_what_is_no_result_cannot_be_compared(tmp_path: Path, content: str | Non
     if content is not None:
         (tmp_path / "a.json").write_text(content)
     with pytest.raises(ConfigError, match=r"a\.json"):
-        figures.read(tmp_path / "a.json")
+        latency_results.read(tmp_path / "a.json")
 
 
 class Orders:
@@ -157,23 +170,23 @@ def test_a_round_behind_a_late_one_counts_from_when_it_was_due(monkeypatch: pyte
         return b""
 
     manual = ManualClock()
-    monkeypatch.setattr(peers, "time", SimpleNamespace(monotonic_ns=manual.now_ns, sleep=manual.advance))
+    monkeypatch.setattr(pingpong_end, "time", SimpleNamespace(monotonic_ns=manual.now_ns, sleep=manual.advance))
     orders = Orders(("paced", manual.now_ns() + 50_000_000, 10_000_000, 3))
-    near_end(PeerConfig(transport="bus", near=True, folder=""), (lambda _: None, receive), orders)
+    pingpong_end.near_end(EndConfig(transport="bus", near=True, folder=""), (lambda _: None, receive), orders)
     assert orders.replies[1][0] == [50_000_000, 40_000_000, 30_000_000]
 
 
-def stamps(folder: Path, sim: list[tuple[int, ...]], fast: list[tuple[int, ...]]) -> latency.Samples:
+def stamps(folder: Path, sim: list[tuple[int, ...]], fast: list[tuple[int, ...]]) -> latency_samples.Samples:
     """What is read from such traces of one second."""
     for name, rows in (("sim.trace", sim), ("fast.trace", fast)):
         np.array(rows, np.int64).tofile(folder / name)
-    samples = latency.Samples()
-    latency._read_traces(folder, "none", 0, 1_000_000_000, samples)
+    samples = latency_samples.Samples()
+    latency_samples.read_traces(folder, "none", 0, 1_000_000_000, samples)
     return samples
 
 
 def test_unanswered_and_skipped_ticks_are_found_in_the_stamps(tmp_path: Path) -> None:
-    tick = latency.PERIOD_NS
+    tick = latency_samples.PERIOD_NS
     samples = stamps(
         tmp_path,
         [
@@ -201,29 +214,29 @@ def test_unanswered_and_skipped_ticks_are_found_in_the_stamps(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("late_ns", "took_ns", "misses"),
     [
-        (latency.PERIOD_NS, 500_000, 0),
-        (latency.PERIOD_NS + 1, 500_000, 1),
-        (latency.PERIOD_NS + 1, 30_000_000, 1),
+        (latency_samples.PERIOD_NS, 500_000, 0),
+        (latency_samples.PERIOD_NS + 1, 500_000, 1),
+        (latency_samples.PERIOD_NS + 1, 30_000_000, 1),
         (0, 30_000_000, 1),
     ],
 )
 def test_a_tick_published_more_than_a_period_late_is_a_miss_and_counts_once(
     tmp_path: Path, late_ns: int, took_ns: int, misses: int
 ) -> None:
-    tick = latency.PERIOD_NS
+    tick = latency_samples.PERIOD_NS
     samples = stamps(tmp_path, [(7, 0, late_ns, took_ns, 0, late_ns + 1, tick, 3 * tick, -1)], [])
     key = ("ours", "none", "15hz")
-    assert figures.row_of(*key, samples.took[key], samples.skipped[key]).misses == misses
+    assert latency_results.row_of(*key, samples.took[key], samples.skipped[key]).misses == misses
     assert samples.paced["none"].late["ours"] == [late_ns / 1000.0]
 
 
 def test_the_blocks_of_a_load_are_pooled(tmp_path: Path) -> None:
     samples = stamps(
         tmp_path,
-        [(7, 0, 10, 500_000, 0, 20, 2 * latency.PERIOD_NS, latency.PERIOD_NS, -1)],
+        [(7, 0, 10, 500_000, 0, 20, 2 * latency_samples.PERIOD_NS, latency_samples.PERIOD_NS, -1)],
         [(7, 0, 100_000, 110_000, 20_000, 30_000, 40_000, 250_000, 300_000)],
     )
-    latency._read_traces(tmp_path, "none", 0, 1_000_000_000, samples)
+    latency_samples.read_traces(tmp_path, "none", 0, 1_000_000_000, samples)
     paced = samples.paced["none"]
     for answers in (1, 3):
         paced.loaded({"answers": answers, "tokens": 64 * answers, "seconds": 2.0})
@@ -248,8 +261,8 @@ def test_loads_take_turns_for_their_time_in_all(seconds: float, loads: str, each
 
 def paced(
     what: str, load: str = "none", *, p50: float = 100.0, p99: float = 1000.0, n: int = 3600, misses: int = 0
-) -> figures.Row:
-    return figures.Row(
+) -> latency_results.Row:
+    return latency_results.Row(
         what=what,
         load=load,
         pace="15hz",
@@ -263,8 +276,10 @@ def paced(
     )
 
 
-def judged(*rows: figures.Row, **fast: object) -> dict[str, tuple[object, object, object]]:
-    return {str(t["figure"]): (t["value"], t["reached"], t["valid"]) for t in latency.targets(rows, fast, "auto")}
+def judged(*rows: latency_results.Row, **fast: object) -> dict[str, tuple[object, object, object]]:
+    return {
+        str(t["figure"]): (t["value"], t["reached"], t["valid"]) for t in latency_report.targets(rows, fast, "auto")
+    }
 
 
 def test_promises_are_judged_one_by_one() -> None:
@@ -282,7 +297,7 @@ def test_promises_are_judged_one_by_one() -> None:
 
 @pytest.mark.parametrize(("mode", "reached"), [("fifo", False), ("user", True), ("off", True)])
 def test_a_plain_user_may_double_under_load(mode: str, reached: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(latency, "resolve", lambda _: mode)
+    monkeypatch.setattr(latency_report, "resolve", lambda _: mode)
     assert judged(paced("ours"), paced("ours", "cpu", p99=1900.0))["paced p99, load cpu / none"] == (1.9, reached, True)
 
 
@@ -302,7 +317,7 @@ def test_misses_are_judged_after_15_minutes_beside_the_model(load: str, n: int, 
 
 
 def test_what_is_not_installed_is_absent_and_not_included(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def measure(options: latency.Options, load: str, _: Path, samples: latency.Samples) -> None:
+    def measure(options: latency.Options, load: str, _: Path, samples: latency_samples.Samples) -> None:
         for what in (*options.peers, "ours"):
             samples.add((what, load, "15hz"), [1_000])
 
@@ -375,7 +390,7 @@ def test_a_model_that_falls_silent_is_no_load() -> None:
         silent.set()
         end.wait(PATIENCE_S)
 
-    with pytest.raises(Lost, match="the language model wrote nothing"), asked(answer):
+    with pytest.raises(MeasurementError, match="the language model wrote nothing"), asked(answer):
         silent.wait(PATIENCE_S)
     end.set()
 
@@ -395,12 +410,12 @@ def test_a_model_that_fails_is_no_load() -> None:
         for _ in range(2):
             assert failed.acquire(timeout=PATIENCE_S)
 
-    with pytest.raises(Lost, match=r"failed \d requests, the last one with: .*500"), asked(answer):
+    with pytest.raises(MeasurementError, match=r"failed \d requests, the last one with: .*500"), asked(answer):
         until_two_have_failed()
 
 
 def test_a_crowd_has_as_many_vehicles_as_asked_for() -> None:
-    rows = rows_of(scale.crowd(observation(car(0, 100, 1, 10), lanes=HIGHWAY[:2]), 50))
+    rows = rows_of(scale_fast_node.crowd(observation(car(0, 100, 1, 10), lanes=HIGHWAY[:2]), 50))
     assert len(set(rows[:, 0].tolist())) == len(set(rows[:, 1].tolist())) == 50
 
 
@@ -414,37 +429,37 @@ def test_a_crowd_has_as_many_vehicles_as_asked_for() -> None:
 )
 def test_the_knee_is_the_first_point_that_does_not_hold(beyond: dict[str, Any], why: str) -> None:
     points = [{"x": 1, "n": 9, "p99_us": 900.0, "misses": 0}, beyond, {"x": 4, "n": 9, "p99_us": 900.0}]
-    assert scale.knee(points) == {"holds": 1, "breaks_at": 2, "then": why}
+    assert breaking_point(points) == {"holds": 1, "breaks_at": 2, "then": why}
 
 
 def test_the_largest_number_of_egos_is_found_between_two_that_were_tried(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scale, "_egos", lambda _, n, __: {"x": n, "n": 1, "p99_us": 20_000.0 * n / 45})
-    holds = scale.knee(scale.egos(None, 1))["holds"]  # type: ignore[arg-type]
+    monkeypatch.setattr(scale_fast_node, "_egos", lambda _, n, __: {"x": n, "n": 1, "p99_us": 20_000.0 * n / 45})
+    holds = breaking_point(scale_fast_node.egos(None, 1))["holds"]  # type: ignore[arg-type]
     assert 43 <= holds <= 45
 
 
 def test_unanswered_ticks_last_their_period_and_skipped_ones_are_counted(tmp_path: Path) -> None:
-    tick = latency.PERIOD_NS
+    tick = latency_samples.PERIOD_NS
     stamps = [
         (7, 0, 0, 500, 0, 1, tick, tick, -1),
         (7, 1, tick, -1, tick, tick + 1, 2 * tick, 2 * tick, 0),
         (7, 2, 2 * tick, 600, 2 * tick, 2 * tick + 1, 5 * tick, 5 * tick, 0),
     ]
     np.array(stamps, np.int64).tofile(tmp_path / "0.trace")
-    assert scale._round_trips(tmp_path / "0.trace", 0, 10 * tick) == ([500, tick, 600], 2)
+    assert scale_simulators._round_trips(tmp_path / "0.trace", 0, 10 * tick) == ([500, tick, 600], 2)
 
 
 @pytest.mark.parametrize("direct", [True, False])
 @pytest.mark.realtime
 def test_two_simulators_on_one_bus_are_answered_by_their_own_fast_nodes(tmp_path: Path, direct: bool) -> None:
-    point = scale._pairs(tmp_path, "auto", 1.0, 2, direct=direct)
+    point = scale_simulators._pairs(tmp_path, "auto", 1.0, 2, direct=direct)
     assert 28 <= point["n"] <= 32
     assert point["misses"] < point["n"] / 2
 
 
 def test_a_message_of_64_kib_is_lost_on_the_low_latency_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scale, "SIZES", (1024, 65_536))
-    assert scale.knee(scale.sizes(tmp_path, "off", 10)) == {
+    assert breaking_point(scale.sizes(tmp_path, "off", 10)) == {
         "holds": 1024,
         "breaks_at": 65_536,
         "then": "lost without an error: the low-latency transport does not fragment",
@@ -453,14 +468,14 @@ def test_a_message_of_64_kib_is_lost_on_the_low_latency_link(tmp_path: Path, mon
 
 def test_the_curves_are_drawn(tmp_path: Path) -> None:
     points: list[dict[str, Any]] = [{"x": 1, "n": 9, "p50_us": 500.0, "p99_us": 900.0}, {"x": 2, "breaks": "too large"}]
-    curve = {"points": points, "knee": scale.knee(points)}
+    curve = {"points": points, "knee": breaking_point(points)}
     scale.plot({"curves": {"vehicles": curve, "egos": curve}}, tmp_path / "scale.png")
     assert (tmp_path / "scale.png").read_bytes().startswith(b"\x89PNG")
 
 
 @contextmanager
-def two_peers(folder: Path, other: str) -> Iterator[Peers]:
-    with Peers(folder, ("floor", other), 512, 128, "off", patience_s=5.0) as peers:  # type: ignore[arg-type]
+def two_peers(folder: Path, other: str) -> Iterator[PingPongs]:
+    with PingPongs(folder, ("floor", other), 512, 128, "off", patience_s=5.0) as peers:  # type: ignore[arg-type]
         yield peers
 
 
@@ -488,7 +503,7 @@ def test_a_peer_goes_on_when_another_has_died(tmp_path: Path) -> None:
 
 
 def test_a_peer_that_hangs_is_dropped(tmp_path: Path) -> None:
-    with Peers(tmp_path, ("floor",), 512, 128, "off", patience_s=1.0) as peers:
+    with PingPongs(tmp_path, ("floor",), 512, 128, "off", patience_s=1.0) as peers:
         os.kill(peers.parts("floor")["far end"], signal.SIGSTOP)
         peers.order("floor", "rounds", 10)
         assert peers.reply("floor") is None
@@ -497,7 +512,7 @@ def test_a_peer_that_hangs_is_dropped(tmp_path: Path) -> None:
 
 def test_no_process_outlives_its_block(tmp_path: Path) -> None:
     with children() as start:
-        stubborn = start("child", tmp_path / "log", sys.executable, "-c", "import time; time.sleep(60)")
+        stubborn = start("child", (sys.executable, "-c", "import time; time.sleep(60)"), tmp_path / "log")
     assert stubborn.trouble() == "its child was killed by signal 15"
 
 
@@ -548,10 +563,10 @@ needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason=
 @pytest.mark.realtime
 def test_without_ours_the_others_are_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FASTSLOW_TEST", mark := str(uuid4()))
-    samples = latency.Samples()
+    samples = latency_samples.Samples()
 
     def kill() -> None:
-        wait_for(mark, "deploy.bench.peers")
+        wait_for(mark, "deploy.bench.pingpong_end")
         os.kill(wait_for(mark, "fast_node"), signal.SIGKILL)
 
     killer = threading.Thread(target=kill)
@@ -575,15 +590,15 @@ def test_only_without_ours_or_the_floor_the_benchmark_fails(
 @pytest.mark.realtime
 def test_a_signal_ends_the_benchmark_and_all_it_started(tmp_path: Path, number: int, code: int) -> None:
     with started(tmp_path, *FLOOR_ALONE) as (process, mark):
-        wait_for(mark, "deploy.bench.peers")
+        wait_for(mark, "deploy.bench.pingpong_end")
         process.send_signal(number)
         _, said = process.communicate(timeout=PATIENCE_S)
         assert (process.returncode, said.splitlines()[-1], marked(mark)) == (code, "fastslow: stopped", [])
 
 
 def test_stamps_that_were_not_written_are_a_loss(tmp_path: Path) -> None:
-    with pytest.raises(Lost, match=r"no stamps in .*sim\.trace"):
-        latency._read_traces(tmp_path, "none", 0, 1, latency.Samples())
+    with pytest.raises(MeasurementError, match=r"no stamps in .*sim\.trace"):
+        latency_samples.read_traces(tmp_path, "none", 0, 1, latency_samples.Samples())
 
 
 class Announced:
@@ -688,13 +703,13 @@ def test_the_paced_loop_is_measured_at_every_tick(measured: tuple[dict[str, Any]
 @pytest.mark.realtime
 def test_the_parts_of_a_tick_are_all_there(measured: tuple[dict[str, Any], Path]) -> None:
     parts = measured[0]["parts_us"]["none"]
-    assert tuple(parts) == latency.PARTS
+    assert tuple(parts) == latency_samples.PARTS
     assert all(part["p50"] > 0 for name, part in parts.items() if name != "bus out")  # which may overlap the put
 
 
 @pytest.mark.realtime
 def test_the_age_of_what_is_applied_is_about_a_period(measured: tuple[dict[str, Any], Path]) -> None:
-    assert measured[0]["loads"]["none"]["applied_age_us"]["p50"] > latency.PERIOD_NS / 1000.0 / 2
+    assert measured[0]["loads"]["none"]["applied_age_us"]["p50"] > latency_samples.PERIOD_NS / 1000.0 / 2
 
 
 @pytest.mark.realtime
@@ -707,7 +722,7 @@ def test_all_say_how_late_they_were_and_how_they_are_scheduled(measured: tuple[d
 @pytest.mark.realtime
 def test_the_text_says_what_the_result_does(measured: tuple[dict[str, Any], Path]) -> None:
     result = measured[0]
-    said = "\n".join(latency.lines(result))
+    said = "\n".join(latency_report.lines(result))
     for row in result["rows"]:
         assert f"{row['load']:<5} {row['pace']:<13} {row['what']:<12} {row['n']:>7} {row['p50_us']:>8.0f}" in said
     for name, how in result["loads"]["none"]["scheduling"].items():
@@ -720,7 +735,7 @@ def test_the_text_says_what_the_result_does(measured: tuple[dict[str, Any], Path
 
 
 def test_the_text_marks_what_cannot_be_judged() -> None:
-    targets = latency.targets([paced("ours", p99=2000.0), paced("ours", "llm")], {}, "auto")
+    targets = latency_report.targets([paced("ours", p99=2000.0), paced("ours", "llm")], {}, "auto")
     result = {
         "host": {
             "cpu": "c",
@@ -739,7 +754,7 @@ def test_the_text_marks_what_cannot_be_judged() -> None:
         "targets": targets,
         "included": [],
     }
-    said = list(latency.lines(result))
+    said = list(latency_report.lines(result))
     assert any(line.startswith("INVALID  paced p99, load llm / none: 0.5 ") and "disturbed" in line for line in said)
     assert any("minus back to back: 300 us" in line for line in said)
 

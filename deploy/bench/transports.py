@@ -1,26 +1,13 @@
-"""One end of a ping-pong over any transport, as a process of its own: `python -m deploy.bench.peers '{...}'`.
-
-The near end takes orders from the benchmark over a Unix socket; the far end only answers. Orders:
-
-* `("paced", first_due_ns, period_ns, n)`: one round per due time. A round is timed from its sending; if the answer
-  before it was still outstanding when it was due, from when it was due (no coordinated omission).
-* `("rounds", n)`: n rounds, each sent as soon as the one before is answered.
-* `("observe", payload)`: from now on send this observation (`ours` only).
-
-The reply is `(took_ns, late_ns, inference_ns)`: lists, the last one empty but for the floor.
-"""
+"""Transports that are compared: how one end of a ping-pong sends and receives over each of them."""
 
 from __future__ import annotations
 
 import importlib
-import os
 import queue
 import socket
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from multiprocessing.connection import Client
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,8 +15,8 @@ import msgspec
 from msgspec import Struct
 
 from schemas.runtime.bus import BusConfig, open_bus, open_default
-from schemas.runtime.process import ConfigError, die_with_parent, load_config
-from schemas.runtime.realtime import Mode, claim
+from schemas.runtime.process import ConfigError
+from schemas.runtime.realtime import Mode
 from schemas.wire.codec import encode
 from schemas.wire.messages import Observation
 from schemas.wire.topics import ACTION, OBSERVATION, Topic
@@ -37,13 +24,13 @@ from schemas.wire.topics import ACTION, OBSERVATION, Topic
 Transport = Literal["floor", "bus", "bus-default", "zmq", "dora", "ours"]
 Link = tuple[Callable[[bytes], None], Callable[[], bytes]]
 """How an end sends a payload, and how it waits for one."""
+TRANSPORTS: tuple[Transport, ...] = ("floor", "bus", "bus-default", "zmq", "dora")
+"""What ours is compared with."""
 PING: Topic[Any] = Topic(name="ping", type=Observation, publisher="bench", hz=15, stale_after_s=1.0, depth=1)
 PONG: Topic[Any] = Topic(name="pong", type=Observation, publisher="bench", hz=15, stale_after_s=1.0, depth=1)
-WARM_ROUNDS = 50
-WARM_INFERENCES = 5
 
 
-class PeerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class EndConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One end of one ping-pong; its sockets are in `folder`."""
 
     transport: Transport
@@ -62,7 +49,7 @@ def socket_of(folder: str, name: str) -> str:
 
 
 @contextmanager
-def _unix_socket(config: PeerConfig) -> Iterator[Link]:
+def _unix_socket(config: EndConfig) -> Iterator[Link]:
     path = socket_of(config.folder, "floor")
     if config.near:
         raw = socket.socket(socket.AF_UNIX)
@@ -87,7 +74,7 @@ def _unix_socket(config: PeerConfig) -> Iterator[Link]:
 
 
 @contextmanager
-def _bus(config: PeerConfig) -> Iterator[Link]:
+def _bus(config: EndConfig) -> Iterator[Link]:
     near, far = (f"unixsock-stream/{socket_of(config.folder, name)}" for name in ("bus-near", "bus-far"))
     one = BusConfig(listen=(near if config.near else far,), connect=(far,) if config.near else (), low_latency=True)
     out, into = (PING, PONG) if config.near else (PONG, PING)
@@ -100,7 +87,7 @@ def _bus(config: PeerConfig) -> Iterator[Link]:
 
 
 @contextmanager
-def _bus_default(config: PeerConfig) -> Iterator[Link]:
+def _bus_default(config: EndConfig) -> Iterator[Link]:
     arrived: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     out, into = ("bench/ping", "bench/pong") if config.near else ("bench/pong", "bench/ping")
     answer = bytes(config.answered_bytes)
@@ -125,7 +112,7 @@ def _bus_default(config: PeerConfig) -> Iterator[Link]:
 
 
 @contextmanager
-def _zmq(config: PeerConfig) -> Iterator[Link]:
+def _zmq(config: EndConfig) -> Iterator[Link]:
     zmq: Any = importlib.import_module("zmq")
     context = zmq.Context()
     pair = context.socket(zmq.PAIR)
@@ -136,7 +123,7 @@ def _zmq(config: PeerConfig) -> Iterator[Link]:
 
 
 @contextmanager
-def _dora(config: PeerConfig) -> Iterator[Link]:
+def _dora(config: EndConfig) -> Iterator[Link]:
     import pyarrow
     from dora import Node
 
@@ -158,7 +145,7 @@ def _dora(config: PeerConfig) -> Iterator[Link]:
 
 
 @contextmanager
-def _ours(config: PeerConfig) -> Iterator[Link]:
+def _ours(config: EndConfig) -> Iterator[Link]:
     """In the simulator's place: an observation to the real fast node, which answers with an action."""
     decoder = msgspec.msgpack.Decoder(Observation)
     seen = decoder.decode(Path(config.observation).read_bytes())
@@ -188,7 +175,7 @@ def _ours(config: PeerConfig) -> Iterator[Link]:
         yield send, receive
 
 
-LINKS: dict[str, Callable[[PeerConfig], Any]] = {
+LINKS: dict[str, Callable[[EndConfig], Any]] = {
     "floor": _unix_socket,
     "bus": _bus,
     "bus-default": _bus_default,
@@ -208,96 +195,3 @@ def _until(attempt: Callable[[], object], failure: type[BaseException], timeout_
             if time.monotonic() > deadline:
                 raise
             time.sleep(0.02)
-
-
-def _inference() -> Callable[[], int]:
-    """What times one bare policy inference in a warm loop, in ns."""
-    import numpy as np
-
-    from fast_node.policies.attention import load_policy
-    from schemas.driving.features import FEATURES, N_ROWS
-
-    policy, seen = load_policy(), np.ones((N_ROWS, len(FEATURES)), np.float32)
-
-    def warm() -> int:
-        for _ in range(WARM_INFERENCES):
-            policy.logits(seen)
-        start = time.monotonic_ns()
-        policy.logits(seen)
-        return time.monotonic_ns() - start
-
-    return warm
-
-
-def near_end(config: PeerConfig, link: Link, orders: Any) -> None:
-    """Carry out orders until there are no more."""
-    send, receive = link
-    ping = bytes(config.sent_bytes)
-    infer = _inference() if config.transport == "floor" else None
-
-    def round_trip(since_ns: int = 0) -> None:
-        start = since_ns or time.monotonic_ns()
-        send(ping)
-        receive()
-        took.append(time.monotonic_ns() - start)
-        if infer is not None:
-            inferred.append(infer())
-
-    took: list[int] = []
-    late: list[int] = []
-    inferred: list[int] = []
-    for _ in range(WARM_ROUNDS):
-        round_trip()
-    orders.send("ready")
-    while True:
-        order = orders.recv()
-        if order is None:
-            return
-        if order[0] == "observe":
-            send(order[1])
-            continue
-        took, late, inferred = [], [], []
-        if order[0] == "rounds":
-            for _ in range(order[1]):
-                round_trip()
-        else:
-            _, first_ns, period_ns, n = order
-            for k in range(n):
-                due = first_ns + k * period_ns
-                ahead = due - time.monotonic_ns()
-                if ahead > 0:
-                    time.sleep(ahead / 1e9)
-                    late.append(time.monotonic_ns() - due)
-                    round_trip()
-                else:
-                    round_trip(due)
-        orders.send((took, late, inferred))
-
-
-def far_end(config: PeerConfig, link: Link) -> None:
-    """Answer until the other end goes."""
-    send, receive = link
-    pong = bytes(config.answered_bytes)
-    while True:
-        receive()
-        send(pong)
-
-
-def main() -> None:
-    if "DORA_NODE_CONFIG" not in os.environ:
-        die_with_parent()
-    config = load_config(PeerConfig, sys.argv[1:])
-    said = claim(config.realtime)
-    with LINKS[config.transport](config) as link:
-        if not config.near:
-            far_end(config, link)
-        with Client(socket_of(config.folder, "orders")) as orders:
-            orders.send((config.transport, said))
-            near_end(config, link, orders)
-
-
-if __name__ == "__main__":
-    try:
-        main()
-    except (EOFError, KeyboardInterrupt):
-        pass
