@@ -27,7 +27,6 @@ app = typer.Typer(
     epilog="Examples:\n\n  fastslow run\n\n"
     '  fastslow say "I\'m in a hurry to get to work, I want to drive faster"\n\n' + _EXITS,
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
