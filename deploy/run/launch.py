@@ -1,8 +1,9 @@
 """Launches processes and ends them: the only place where a process of ours is started.
 
-A launched process leads a session and a process group of its own. So Ctrl-C in a terminal reaches the launcher alone,
-which ends the others in its own order, and what a process has started itself ends with it. Should the launcher be
-killed outright, our own programs end too: they ask the kernel for that first (`die_with_parent`).
+A launched process leads a process group of its own, and a session unless told otherwise. So Ctrl-C in a terminal
+reaches the launcher alone, which ends the others in its own order, and what a process has started itself ends with it.
+Should the launcher be killed outright, our own programs end too: they ask the kernel for that first
+(`die_with_parent`).
 """
 
 from __future__ import annotations
@@ -117,11 +118,13 @@ def launch(
     append: bool = False,
     stdout: bool = True,
     nice: int = 0,
+    own_session: bool = True,
 ) -> Launched:
     """Start a process.
 
-    log: where it writes to, anew unless `append`; stdout: as well as stderr. env: `environment()` by default. nice: its
-    niceness, if it is granted. Raises OSError if the log or the program cannot be opened.
+    log: where it writes to, anew unless `append`; stdout: as well as stderr. env: `environment()` by default.
+    nice: its niceness, if it is granted. own_session: Linux shares the processor out among sessions first.
+    Raises OSError if the log or the program cannot be opened.
     """
     with log.open("ab" if append else "wb") as file:
         popen = subprocess.Popen(
@@ -130,7 +133,8 @@ def launch(
             stdout=file if stdout else subprocess.DEVNULL,
             stderr=file,
             env=environment() if env is None else env,
-            start_new_session=True,
+            start_new_session=own_session,
+            process_group=None if own_session else 0,
         )
     if nice:
         try:

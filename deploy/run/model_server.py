@@ -17,7 +17,8 @@ def embedded_server(port: int, threads: int, *, adapter: bool, polite: bool = Fa
     adapter, polite: as `slow_node.llm.embedded.EmbeddedConfig` has them.
     """
     config = {"port": port, "threads": threads, "adapter": adapter, "polite": polite}
-    server = launch("language model", python_module("slow_node.llm.embedded", config))
+    argv = python_module("slow_node.llm.embedded", config)
+    server = launch("language model", argv, own_session=False)  # it works for who starts it, on their share
     due = time.monotonic() + START_S
     while time.monotonic() < due and server.exit_code() is None:
         if answers(f"http://{TCP_HOST}:{port}/health"):
