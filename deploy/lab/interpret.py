@@ -7,16 +7,16 @@ import contextlib
 import json
 import random
 import signal
-import subprocess
 import sys
 import time
-import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any, Literal
 
 import numpy as np
 
+from deploy.run.launch import Launched
+from deploy.run.model_server import embedded_server
 from deploy.run.processes import choose_model
 from schemas.runtime.process import CONFIG, FAILED, OK, USAGE, ConfigError
 from schemas.wire.messages import Lane, Observation
@@ -45,7 +45,6 @@ NO_SLOTS: dict[str, Any] = {
     "overtake": None,
     "cancel": False,
 }
-MODEL_START_S = 30.0
 MAX_TEXT = 3000
 SETS = ("dev", "blind")
 """Labelled commands in `slow_node/evaluation`."""
@@ -160,7 +159,7 @@ def running_thinker(
     """A thinker and, where it may ask it, the embedded model's process. Raises `ConfigError`."""
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that the model ends with us
     model = choose_model()
-    server: subprocess.Popen[bytes] | None = None
+    server: Launched | None = None
     try:
         if model.embedded and ask != "never":
             server = embedded_server(model.port, threads, adapter=adapter)
@@ -187,24 +186,8 @@ def running_thinker(
             memory.close()
     finally:
         if server is not None:
-            server.terminate()
-            server.wait(10)
+            server.end()
         signal.signal(signal.SIGTERM, before)
-
-
-def embedded_server(port: int, threads: int, *, adapter: bool, polite: bool = False) -> subprocess.Popen[bytes] | None:
-    config = json.dumps({"port": port, "threads": threads, "adapter": adapter, "polite": polite})
-    server = subprocess.Popen([sys.executable, "-m", "slow_node.llm.embedded", config], stderr=subprocess.DEVNULL)
-    due = time.monotonic() + MODEL_START_S
-    while time.monotonic() < due and server.poll() is None:
-        try:
-            urllib.request.urlopen(f"http://127.0.0.1:{port}/health", timeout=1).close()
-            return server
-        except OSError:
-            time.sleep(0.1)
-    server.kill()
-    server.wait()
-    return None
 
 
 def interpret_lines(

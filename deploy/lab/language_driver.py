@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.lab.evaluate import load, record, task_of
-from deploy.lab.interpret import embedded_server
+from deploy.run.model_server import embedded_server
 from deploy.run.processes import choose_model
 from fast_node.policies.rule import rule_logits
 from fast_node.training.rollout import Driver, Fleet
@@ -112,8 +112,7 @@ def running_model(threads: int = 1) -> Iterator[Ask]:
                 loop.run(model.close())
     finally:
         if server is not None:
-            server.terminate()
-            server.wait(10)
+            server.end()
         signal.signal(signal.SIGTERM, before)
 
 

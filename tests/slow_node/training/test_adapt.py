@@ -12,7 +12,7 @@ import gguf
 import pytest
 import torch
 
-from deploy.lab.interpret import embedded_server
+from deploy.run.model_server import embedded_server
 from deploy.run.processes import free_port
 from slow_node.llm.embedded import weights_path
 from slow_node.planning.prompt import adapted_prompt
@@ -43,8 +43,7 @@ def server() -> Iterator[str]:
     process = embedded_server(port, 1, adapter=False)
     assert process is not None
     yield f"http://127.0.0.1:{port}"
-    process.terminate()
-    process.wait(30)
+    process.end()
 
 
 def post(url: str, body: dict[str, Any]) -> Any:
