@@ -19,10 +19,12 @@ def embedded_server(port: int, threads: int, *, adapter: bool, polite: bool = Fa
     config = {"port": port, "threads": threads, "adapter": adapter, "polite": polite}
     argv = python_module("slow_node.llm.embedded", config)
     server = launch("language model", argv, own_session=False)  # it works for who starts it, on their share
-    due = time.monotonic() + START_S
-    while time.monotonic() < due and server.exit_code() is None:
-        if answers(f"http://{TCP_HOST}:{port}/health"):
-            return server
-        time.sleep(POLL_S)
-    server.kill()
-    return None
+    due, ready = time.monotonic() + START_S, False
+    try:
+        while not ready and time.monotonic() < due and server.exit_code() is None:
+            time.sleep(POLL_S)
+            ready = answers(f"http://{TCP_HOST}:{port}/health")
+    finally:  # Ctrl-C included, which does not reach it
+        if not ready:
+            server.kill()
+    return server if ready else None
