@@ -6,7 +6,6 @@ import gc
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -14,8 +13,13 @@ import numpy as np
 
 from fast_node import node as node_module
 from fast_node.config import FastConfig
+from fast_node.mask import PRESETS
 from fast_node.node import FastNode
-from fast_node.policies.attention import SHIPPED, load_policy
+from fast_node.policies.load import load_policy
+from fast_node.policies.outsider import DeadlinePolicy
+from fast_node.policies.policy import NamedPolicy, Policy
+from fast_node.policies.rule import RulePolicy
+from schemas.driving.road import ID, LENGTH, WIDTH, X
 from schemas.runtime.bus import open_bus
 from schemas.runtime.process import Heartbeat, Trace, load_config, log, run_node
 from schemas.runtime.realtime import claim, may_poll
@@ -31,7 +35,7 @@ PARTS = ("close_actions", "features", "logits")
 def warm_up(node: FastNode) -> None:
     """Pay for the first inferences before going live."""
     rows = np.zeros((8, len(ROW_COLUMNS)), np.float32)
-    rows[:, 0], rows[:, 1], rows[:, 6:8] = np.arange(8), np.arange(8) * 30.0, (5.0, 2.0)
+    rows[:, ID], rows[:, X], rows[:, [LENGTH, WIDTH]] = np.arange(8), np.arange(8) * 30.0, (5.0, 2.0)
     lanes = (Lane(y_m=0.0, start_m=0.0, end_m=1e4), Lane(y_m=4.0, start_m=0.0, end_m=1e4))
     for tick in range(20):
         node.step(
@@ -61,10 +65,21 @@ def time_parts(policy: object) -> dict[str, int]:
     return spent
 
 
+def nodes_of(config: FastConfig, policy: NamedPolicy) -> tuple[FastNode, FastNode]:
+    """The node that drives, and the one that rehearses for it.
+
+    What may remember or be slow is asked under a deadline, and not once more than the road asks: the rule rehearses.
+    """
+    drives: Policy = policy if policy.stateless else DeadlinePolicy(policy, config.budget_ms / 1e3)
+    rehearses: Policy = policy if policy.stateless else RulePolicy()
+    preset = PRESETS[policy.mask_preset]
+    return FastNode(config, drives, preset), FastNode(config, rehearses, preset)
+
+
 def main() -> None:
     config = load_config(FastConfig, sys.argv[1:])
-    policy = load_policy(Path(config.policy) if config.policy else SHIPPED)
-    node, understudy = (FastNode(config, policy, policy.preset) for _ in range(2))
+    policy = load_policy(config.policy)
+    node, understudy = nodes_of(config, policy)
     warm_up(understudy)
     trace, spent = Trace(config.trace), time_parts(policy) if config.trace else {}
     scheduling = claim(config.realtime)

@@ -8,8 +8,8 @@ from fast_node.choice import HELD, SOURCES, choose, narrow
 from fast_node.config import FastConfig
 from fast_node.coordination import Coordination
 from fast_node.mask import OPEN, PRESETS, RULES, Preset, close_actions, lane_table
-from fast_node.policies.attention import Policy
-from schemas.driving.features import N_ROWS, Array, features
+from fast_node.policies.policy import Policy
+from schemas.driving.features import Array, features
 from schemas.driving.intent import ANY_LANE, Wish
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import POLICY_ACTIONS, Action, Closure, Directive, Event, MetaAction, Observation
@@ -127,9 +127,8 @@ class FastNode:
                 observation.target_speed_mps,
                 observation.previous_lane >= 0,
                 lanes[aim].end_m - table[0][1],
-                min(N_ROWS, len(table)),
             )
-        )  # rows of absent vehicles change nothing
+        )
 
 
 def fallback(rule: list[int], observation: Observation) -> int:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from msgspec import Struct
 
+from deploy.lab.picture import picture
 from schemas.runtime.process import ConfigError
 
 SCHEMA = "fastslow.bench/1"
@@ -162,28 +163,19 @@ def _resampled(counts: dict[str, int], draws: int, rng: np.random.Generator) -> 
 
 def plot(result: dict[str, Any], path: Path) -> None:
     """The paced distributions as a picture: how many of the ticks took longer than so much, on logarithmic axes."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
     loads = list(dict.fromkeys(row["load"] for row in result["rows"]))
-    figure, axes = pyplot.subplots(1, len(loads), figsize=(5 * len(loads), 4), sharey=True, squeeze=False)
-    for axis, load in zip(axes[0], loads, strict=True):
-        for row in result["rows"]:
-            if row["load"] != load or row["pace"] != "15hz":
-                continue
-            values, counts = centres(result["histograms"][key_of(row)])
-            longer = 1.0 - (counts.cumsum() - counts) / counts.sum()
-            axis.step(values / 1000.0, longer, label=row["what"], linewidth=2.0 if row["what"] == "ours" else 1.0)
-        axis.axvline(DEADLINE_US / 1000.0, color="grey", linestyle=":")
-        axis.set(xscale="log", yscale="log", title=f"load: {load}", xlabel="round trip [ms]")
-        axis.grid(alpha=0.3)
-    axes[0][0].set_ylabel("share of ticks that took longer")
-    axes[0][0].legend()
-    figure.tight_layout()
-    figure.savefig(path, dpi=120)
-    pyplot.close(figure)
+    with picture(path, 1, len(loads), figsize=(5 * len(loads), 4), sharey=True) as (_, axes):
+        for axis, load in zip(axes[0], loads, strict=True):
+            for row in result["rows"]:
+                if row["load"] != load or row["pace"] != "15hz":
+                    continue
+                values, counts = centres(result["histograms"][key_of(row)])
+                longer = 1.0 - (counts.cumsum() - counts) / counts.sum()
+                axis.step(values / 1000.0, longer, label=row["what"], linewidth=2.0 if row["what"] == "ours" else 1.0)
+            axis.axvline(DEADLINE_US / 1000.0, color="grey", linestyle=":")
+            axis.set(xscale="log", yscale="log", title=f"load: {load}", xlabel="round trip [ms]")
+        axes[0][0].set_ylabel("share of ticks that took longer")
+        axes[0][0].legend()
 
 
 def table(rows: Sequence[dict[str, Any]]) -> list[str]:

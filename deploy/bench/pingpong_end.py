@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from deploy.bench.transports import LINKS, EndConfig, Link, socket_of
-from fast_node.policies.attention import load_policy
+from fast_node.policies.attention import load_attention
 from schemas.driving.features import FEATURES, N_ROWS
 from schemas.runtime.process import die_with_parent, load_config
 from schemas.runtime.realtime import claim
@@ -33,7 +33,7 @@ WARM_INFERENCES = 5
 
 def _inference() -> Callable[[], int]:
     """What times one bare policy inference in a warm loop, in ns."""
-    policy, seen = load_policy(), np.ones((N_ROWS, len(FEATURES)), np.float32)
+    policy, seen = load_attention(), np.ones((N_ROWS, len(FEATURES)), np.float32)
 
     def warm() -> int:
         for _ in range(WARM_INFERENCES):

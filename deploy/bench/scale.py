@@ -30,6 +30,7 @@ from deploy.bench.progress import MeasurementError, say
 from deploy.bench.scale_fast_node import egos, observed, vehicles
 from deploy.bench.scale_points import Point, breaking_point, point_of
 from deploy.bench.scale_simulators import simulator_tick, simulators
+from deploy.lab.picture import picture
 from schemas.runtime.realtime import Mode
 from schemas.wire import topics
 
@@ -139,29 +140,21 @@ def _remarks(point: Point) -> str:
 
 def plot(result: dict[str, Any], path: Path) -> None:
     """The curves as a picture: p50 and p99 over each quantity, on logarithmic axes, and where each breaks."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(1, len(result["curves"]), figsize=(4 * len(result["curves"]), 3.6), sharey=True)
-    for axis, (name, curve) in zip(axes, result["curves"].items(), strict=True):
-        measured = [point for point in curve["points"] if "n" in point]
-        for figure_name in ("p50_us", "p99_us"):
-            axis.plot(
-                [p["x"] for p in measured],
-                [p[figure_name] / 1000.0 for p in measured],
-                "o-",
-                markersize=3,
-                label=figure_name[:3],
-            )
-        if curve["knee"]["breaks_at"] is not None:
-            axis.axvline(curve["knee"]["breaks_at"], color="red", linestyle="--", label="breaks")
-        axis.axhline(DEADLINE_US / 1000.0, color="grey", linestyle=":")
-        axis.set(xscale="log", yscale="log", xlabel=name.replace("_", " "))
-        axis.grid(alpha=0.3)
-    axes[0].set_ylabel("time [ms]")
-    axes[0].legend()
-    figure.tight_layout()
-    figure.savefig(path, dpi=120)
-    pyplot.close(figure)
+    curves = result["curves"]
+    with picture(path, 1, len(curves), figsize=(4 * len(curves), 3.6), sharey=True) as (_, axes):
+        for axis, (name, curve) in zip(axes[0], curves.items(), strict=True):
+            measured = [point for point in curve["points"] if "n" in point]
+            for figure_name in ("p50_us", "p99_us"):
+                axis.plot(
+                    [p["x"] for p in measured],
+                    [p[figure_name] / 1000.0 for p in measured],
+                    "o-",
+                    markersize=3,
+                    label=figure_name[:3],
+                )
+            if curve["knee"]["breaks_at"] is not None:
+                axis.axvline(curve["knee"]["breaks_at"], color="red", linestyle="--", label="breaks")
+            axis.axhline(DEADLINE_US / 1000.0, color="grey", linestyle=":")
+            axis.set(xscale="log", yscale="log", xlabel=name.replace("_", " "))
+        axes[0][0].set_ylabel("time [ms]")
+        axes[0][0].legend()

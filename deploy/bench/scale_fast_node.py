@@ -16,7 +16,7 @@ from deploy.bench.progress import MeasurementError
 from deploy.bench.scale_points import Point, broken, point_of
 from fast_node.config import FastConfig
 from fast_node.node import FastNode
-from fast_node.policies.attention import load_policy
+from fast_node.policies.attention import load_attention
 from schemas.runtime.realtime import Mode
 from schemas.wire import topics
 from schemas.wire.codec import Fault, decode, encode, rows_of
@@ -92,7 +92,7 @@ def _parts_us(rows: Any) -> dict[str, float]:
 
 def _step_us(observation: Observation, rounds: int = 200) -> float:
     """Median time of the fast node's step in this process: mask, features, policy, choice [us]."""
-    node, took = FastNode(FastConfig(), load_policy()), []
+    node, took = FastNode(FastConfig(), load_attention()), []
     for _ in range(rounds):
         start = time.monotonic_ns()
         node.step(observation, None, start)
@@ -132,9 +132,9 @@ def egos(seen: Observation, rounds: int) -> list[Point]:
 
 
 def _egos(seen: Observation, n: int, rounds: int) -> Point:
-    policy, payload = load_policy(), encode(seen)
+    policy, payload = load_attention(), encode(seen)
     asked = [_Prepared() for _ in range(n)]
-    nodes = [FastNode(FastConfig(), one) for one in asked]  # type: ignore[arg-type]
+    nodes = [FastNode(FastConfig(), one) for one in asked]
     took: list[int] = []
     for k in range(max(200, rounds // n) + 5):
         start = time.monotonic_ns()

@@ -124,7 +124,7 @@ class _Training:
     """What learns at this rate, with everything that it costs but the network."""
 
     def __init__(self, scenes: int, policy_hz: int) -> None:
-        from deploy.lab.evaluate import task_of
+        from deploy.lab.episodes import task_of
         from fast_node.training.rollout import Scenes
         from sim_node.engine.batched import Batched
         from sim_node.metrics import Recorder

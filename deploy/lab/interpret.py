@@ -5,23 +5,18 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import random
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import IO, Any
 
 import numpy as np
 
-from deploy.run.launch import Launched
-from deploy.run.model_server import embedded_server
-from deploy.run.processes import choose_model
+from deploy.lab.thinker import running_thinker
+from schemas.driving.measures import CAR_LENGTH_M
 from schemas.runtime.process import CONFIG, FAILED, OK, USAGE, ConfigError
 from schemas.wire.messages import Lane, Observation
-from slow_node.config import SlowConfig
-from slow_node.node import build_thinker
 from slow_node.planning.directive import Plan, Refusal, plan_of
 from slow_node.planning.scene import Scene, encode_scene
 from slow_node.thinking import Thinker
@@ -35,7 +30,6 @@ DEFAULT_SCENE: dict[str, Any] = {
     "vehicles": [{"gap_m": 40.0, "speed_mps": 20.0}],
 }
 SCENE_KEYS = {"scenario", "lanes", "ego_lane", "speed_mps", "limit_mps", "vehicles", "lead"}
-VEHICLE_M = 5.0
 NO_SLOTS: dict[str, Any] = {
     "speed": None,
     "target_speed_mps": None,
@@ -46,10 +40,6 @@ NO_SLOTS: dict[str, Any] = {
     "cancel": False,
 }
 MAX_TEXT = 3000
-SETS = ("dev", "blind")
-"""Labelled commands in `slow_node/evaluation`."""
-
-Ask = Literal["auto", "always", "unsure", "never"]
 
 
 class LineError(ValueError):
@@ -88,11 +78,11 @@ def scene_of(value: object) -> Scene:
         vehicles = list(merged["vehicles"] if "vehicles" in value or "lead" not in value else [])
         if value.get("lead"):
             vehicles.append(value["lead"])
-        rows = [(0, 0.0, 4.0 * ego, float(merged["speed_mps"]), 0, 0, VEHICLE_M, 2, ego)]
+        rows = [(0, 0.0, 4.0 * ego, float(merged["speed_mps"]), 0, 0, CAR_LENGTH_M, 2, ego)]
         for number, other in enumerate(vehicles, 1):
             lane, gap = int(other.get("lane", ego)), float(other["gap_m"])
-            x = gap + VEHICLE_M if gap >= 0 else gap - VEHICLE_M
-            rows.append((number, x, 4.0 * lane, float(other["speed_mps"]), 0, 0, VEHICLE_M, 2, lane))
+            x = gap + CAR_LENGTH_M if gap >= 0 else gap - CAR_LENGTH_M
+            rows.append((number, x, 4.0 * lane, float(other["speed_mps"]), 0, 0, CAR_LENGTH_M, 2, lane))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, LineError):
             raise
@@ -142,52 +132,6 @@ def _directive(plan: Plan) -> dict[str, Any]:
         "headway_s": plan.headway_s,
         "style": plan.style,
     }
-
-
-@contextlib.contextmanager
-def running_thinker(
-    *,
-    ask: Ask = "auto",
-    k: int = 4,
-    reader: bool = True,
-    empty_bank: bool = False,
-    threads: int = 1,
-    adapter: bool = True,
-    memory_path: str = "",
-    budget_s: float = 8.0,
-) -> Iterator[Thinker]:
-    """A thinker and, where it may ask it, the embedded model's process. Raises `ConfigError`."""
-    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that the model ends with us
-    model = choose_model()
-    server: Launched | None = None
-    try:
-        if model.embedded and ask != "never":
-            server = embedded_server(model.port, threads, adapter=adapter)
-            if server is None:
-                print("fastslow: the embedded model did not start; the reader answers alone", file=sys.stderr)
-                ask = "never"
-        thinker, memory, _ = build_thinker(
-            SlowConfig(
-                base_url=model.base_url,
-                model=model.name,
-                embedded=model.embedded,
-                memory_path=memory_path,
-                ask=ask,
-                k=k,
-                reader=reader,
-                seeds=not empty_bank,
-                adapter=adapter,
-                budget_s=budget_s,
-            )
-        )
-        try:
-            yield thinker
-        finally:
-            memory.close()
-    finally:
-        if server is not None:
-            server.end()
-        signal.signal(signal.SIGTERM, before)
 
 
 def interpret_lines(
@@ -295,119 +239,3 @@ def _open(target: str) -> Iterator[IO[str]]:
         return
     with open(target, "w", encoding="utf-8") as out:
         yield out
-
-
-def measure(gold: list[dict[str, Any]], **options: Any) -> dict[str, Any]:
-    """Score an interpreter on labelled lines, with its latencies and who answered. Raises `ConfigError`."""
-    from slow_node.evaluation.score import score
-
-    rows: list[dict[str, Any]] = []
-    with running_thinker(**options) as thinker:
-        interpret_lines([json.dumps(row) for row in gold], scene_of(DEFAULT_SCENE), thinker, rows.append)
-    latencies = np.array([row["latency_s"] for row in rows])
-    answered = {str(row["model"]) for row in rows}
-    return {
-        **score(gold, rows),
-        "latency_s": {
-            "p50": float(np.percentile(latencies, 50)),
-            "p95": float(np.percentile(latencies, 95)),
-            "max": float(latencies.max()),
-        },
-        "answered_by": {name: sum(row["model"] == name for row in rows) for name in sorted(answered)},
-        "settings": {key: options[key] for key in sorted(options)},
-        "rows": rows,
-    }
-
-
-def labelled_set(name: str, per_kind: int | None = None) -> list[dict[str, Any]]:
-    """The labelled commands of one of `SETS`, or so many of every kind, the same ones every time."""
-    from slow_node.evaluation.score import DEV_SET, read_lines
-
-    rows = read_lines(DEV_SET.with_name(f"{name}.jsonl"))
-    if per_kind is None:
-        return rows
-    draw = random.Random(0)
-    kinds = {kind: [row for row in rows if row["kind"] == kind] for kind in dict.fromkeys(row["kind"] for row in rows)}
-    return [row for of_kind in kinds.values() for row in draw.sample(of_kind, min(per_kind, len(of_kind)))]
-
-
-def score_set(name: str, *, as_json: bool, per_kind: int | None, output: str, **options: Any) -> int:
-    """`fastslow interpret --score`. Exit code."""
-    from slow_node.evaluation.score import table
-
-    try:
-        result = measure(labelled_set(name, per_kind), **options)
-    except ConfigError as error:
-        print(f"fastslow: {error}", file=sys.stderr)
-        return CONFIG
-    rows = result.pop("rows")
-    if output != "-":
-        Path(output).write_text("".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows), "utf-8")
-    if as_json:
-        print(json.dumps(result))
-    else:
-        times = result["latency_s"]
-        print(table(result))
-        print(f"\nlatency p50 {times['p50']:.3f} s, p95 {times['p95']:.3f} s; answered by {result['answered_by']}")
-    return OK
-
-
-MEMORIES = (
-    ("k = 0", 0, False, False),
-    ("k = 2", 2, False, False),
-    ("k = 4", 4, False, False),
-    ("k = 4, empty bank", 4, True, False),
-    ("its adapter, k = 0", 0, False, True),
-)
-
-
-def memory_experiment(*, as_json: bool, per_kind: int | None, threads: int) -> int:
-    """The language model alone, behind the rules: with 0, 2, 4 recalled examples, an empty bank, and its adapter, which
-    has learnt to do without examples. Exit code."""
-    gold = labelled_set("dev", per_kind)
-    found = []
-    for name, k, empty, adapter in MEMORIES:
-        print(name, file=sys.stderr)
-        try:
-            result = measure(
-                gold, ask="always", reader=False, k=k, empty_bank=empty, threads=threads, adapter=adapter, budget_s=60.0
-            )
-        except ConfigError as error:
-            print(f"fastslow: {error}", file=sys.stderr)
-            return CONFIG
-        found.append(
-            {
-                "memory": name,
-                **{
-                    key: result[key]
-                    for key in (
-                        "n",
-                        "exact",
-                        "exact_ci95",
-                        "outcome_right",
-                        "outcome_right_ci95",
-                        "slot_f1",
-                        "slot_f1_ci95",
-                        "unsafe_recall",
-                        "errors",
-                        "answered_by",
-                        "latency_s",
-                    )
-                },
-            }
-        )
-    if as_json:
-        print(json.dumps({"schema": "fastslow.memory-experiment/1", "rows": found}))
-        return OK
-    print(f"{'memory':<20}{'n':>4}{'exact':>7}  {'95 %':<15}{'slot F1':>8}  {'95 %':<15}{'p50 s':>6}")
-    for row in found:
-        f1 = "-" if row["slot_f1"] is None else f"{row['slot_f1']:.3f}"
-        print(
-            f"{row['memory']:<20}{row['n']:>4}{row['exact']:>7.3f}  {_range(row['exact_ci95']):<15}{f1:>8}"
-            f"  {_range(row['slot_f1_ci95']):<15}{row['latency_s']['p50']:>6.2f}"
-        )
-    return OK
-
-
-def _range(interval: list[float] | None) -> str:
-    return "" if interval is None else "{:.3f}..{:.3f}".format(*interval)

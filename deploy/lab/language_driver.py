@@ -22,16 +22,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.lab.evaluate import load, record, task_of
+from deploy.lab.episodes import load, record, task_of
 from deploy.run.model_server import embedded_server
 from deploy.run.processes import choose_model
 from fast_node.policies.rule import rule_logits
 from fast_node.training.rollout import Driver, Fleet
 from schemas.driving.intent import wished_lane
+from schemas.driving.road import DECISION_TICKS, HZ, ID, X
 from schemas.runtime.clock import NS, Clock, MonotonicClock
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction, Observation
-from sim_node.engine.batched import HZ, Batched
+from sim_node.engine.batched import Batched
 from sim_node.metrics import EpisodeResult
 from sim_node.scenarios import SCENARIOS, Scenario
 from slow_node.baselines.dilu import Bank, Experience, build_prompt, describe, explain, parse
@@ -39,8 +40,6 @@ from slow_node.llm.embedding import load_embedder
 from slow_node.llm.model import MAX_TOKENS, ChatModel, ModelError, ModelTimeoutError
 from slow_node.planning.prompt import Chat
 
-DECISION_TICKS = HZ
-"""At most one question a second, as theirs."""
 MAX_TOKENS_EMBEDDED = 64
 """More than twice an example's answer: what is longer has lost the thread."""
 BUDGET_S = 60.0
@@ -153,13 +152,13 @@ class World:
     def observation(self, state: tuple[NDArray[Any], ...], scene: int, tick: int) -> Observation:
         """A scene's part of a `state` as it is published."""
         rows, target_speed, target_lane, previous_lane = (array[scene] for array in state)
-        here = rows[rows[:, 0] >= 0]
+        here = rows[rows[:, ID] >= 0]
         return Observation(
             epoch=0,
             stamp_ns=0,
             tick=tick,
             scenario=self.scenario.name,
-            lanes=self.scenario.lanes_at(float(rows[0, 1])),
+            lanes=self.scenario.lanes_at(float(rows[0, X])),
             rows=here.tobytes(),
             target_speed_mps=float(target_speed),
             target_lane=int(target_lane),
@@ -250,7 +249,7 @@ def _episode(world: World, driver: LanguageDriver, paused: bool) -> EpisodeResul
             meta, waiting = waiting[1], None
         if waiting is None and tick >= ask_from:
             action, took_s = driver.decide(world.observation(world.state(), 0, tick))
-            ask_from = tick + DECISION_TICKS
+            ask_from = tick + DECISION_TICKS  # at most one question a second, as theirs
             if paused:
                 meta = action
             else:

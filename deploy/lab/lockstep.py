@@ -7,9 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from deploy.lab.picture import picture
 from fast_node.config import FastConfig
+from fast_node.mask import PRESETS
 from fast_node.node import FastNode
-from fast_node.policies.attention import Policy, load_policy
+from fast_node.policies.load import load_policy
+from fast_node.policies.policy import NamedPolicy
+from schemas.driving.road import HZ
 from schemas.runtime.bus import LocalBus
 from schemas.runtime.clock import NS
 from schemas.wire import topics
@@ -17,7 +21,6 @@ from schemas.wire.messages import Directive, Event, Observation
 from sim_node.config import SimConfig
 from sim_node.node import SimNode
 
-HZ = 15
 Ask = Callable[[Observation, int], Directive | None]
 """Called at every tick with the observation and the time [ns]; returns a new directive or None."""
 
@@ -61,12 +64,17 @@ def overtake_at(at_s: float, ttl_s: float = 120.0) -> Ask:
     return ask
 
 
-def run_episode(seed: int, policy: Policy, ask: Ask, *, duration_s: float = 60.0, scenario: str = "two-way") -> Episode:
+def run_episode(
+    seed: int, policy: NamedPolicy, ask: Ask, *, duration_s: float = 60.0, scenario: str = "two-way"
+) -> Episode:
     """Drive one episode; the messages are encoded and decoded as on the real bus."""
     bus = LocalBus()
     observations, actions = bus.subscribe(topics.OBSERVATION), bus.subscribe(topics.ACTION)
     directives = bus.subscribe(topics.DIRECTIVE)
-    sim, fast = SimNode(SimConfig(scenario=scenario, seed=seed)), FastNode(FastConfig(), policy, policy.preset)
+    sim, fast = (
+        SimNode(SimConfig(scenario=scenario, seed=seed)),
+        FastNode(FastConfig(), policy, PRESETS[policy.mask_preset]),
+    )
     episode = Episode(seed)
     sim.reset(1)
     bus.publish(topics.OBSERVATION, sim.observation(0))
@@ -96,43 +104,35 @@ def run_episode(seed: int, policy: Policy, ask: Ask, *, duration_s: float = 60.0
 
 def draw(episode: Episode, told_s: float, path: Path) -> None:
     """Speed and lane over time on a two-way road, with what became of a directive given at `told_s`."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
     time_s = [k / HZ for k in range(len(episode.speeds))]
-    figure, (speed, lane) = plt.subplots(2, 1, sharex=True, figsize=(10, 4.6), height_ratios=(2, 1))
-    speed.plot(time_s, episode.speeds)
-    lane.step(time_s, episode.lanes, color="tab:green", where="post")
-    marks = [(told_s, "told to overtake", "black")]
-    for event in episode.events:
-        if event.kind == "overridden" and event.duration_s > 0:
-            marks.append((event.tick / HZ, f"delayed {event.duration_s:.0f} s: {event.rule}", "tab:red"))
-        elif event.kind == "fulfilled":
-            marks.append((event.tick / HZ, "fulfilled", "tab:green"))
-    for row, (at_s, text, colour) in enumerate(marks):
-        speed.text(at_s + 0.2, 0.4 + 0.9 * row, text, color=colour, fontsize="small")
+    with picture(path, 2, sharex=True, dpi=100, figsize=(10, 4.6), height_ratios=(2, 1)) as (_, axes):
+        speed, lane = axes[:, 0]
+        speed.plot(time_s, episode.speeds)
+        lane.step(time_s, episode.lanes, color="tab:green", where="post")
+        marks = [(told_s, "told to overtake", "black")]
+        for event in episode.events:
+            if event.kind == "overridden" and event.duration_s > 0:
+                marks.append((event.tick / HZ, f"delayed {event.duration_s:.0f} s: {event.rule}", "tab:red"))
+            elif event.kind == "fulfilled":
+                marks.append((event.tick / HZ, "fulfilled", "tab:green"))
+        for row, (at_s, text, colour) in enumerate(marks):
+            speed.text(at_s + 0.2, 0.4 + 0.9 * row, text, color=colour, fontsize="small")
+            for axis in (speed, lane):
+                axis.axvline(at_s, color=colour, linestyle=":", linewidth=1)
         for axis in (speed, lane):
-            axis.axvline(at_s, color=colour, linestyle=":", linewidth=1)
-    for axis in (speed, lane):
-        axis.fill_between(
-            time_s,
-            0,
-            1,
-            where=[n == 0 for n in episode.lanes],
-            transform=axis.get_xaxis_transform(),
-            color="tab:orange",
-            alpha=0.2,
-            linewidth=0,
-        )
-        axis.grid(alpha=0.3)
-    speed.set(ylabel="speed [m/s]", ylim=(0, 9), title=f"two-way, seed {episode.seed}, lock-step")
-    lane.set(xlabel="time [s]", yticks=(0, 1), yticklabels=("oncoming", "own"))
-    lane.invert_yaxis()
-    figure.tight_layout()
-    figure.savefig(path, dpi=100)
-    plt.close(figure)
+            axis.fill_between(
+                time_s,
+                0,
+                1,
+                where=[n == 0 for n in episode.lanes],
+                transform=axis.get_xaxis_transform(),
+                color="tab:orange",
+                alpha=0.2,
+                linewidth=0,
+            )
+        speed.set(ylabel="speed [m/s]", ylim=(0, 9), title=f"two-way, seed {episode.seed}, lock-step")
+        lane.set(xlabel="time [s]", yticks=(0, 1), yticklabels=("oncoming", "own"))
+        lane.invert_yaxis()
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from deploy.lab.evaluate import directed, overtake_on, task_of
+from deploy.lab.episodes import directed, overtake_on, task_of
 from fast_node.mask import PRESETS
 from fast_node.policies.mlp import BASELINES
 from fast_node.training.rollout import Mixed, Scenes

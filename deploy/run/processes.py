@@ -72,8 +72,8 @@ class RunOptions:
     as_json: bool = False
     without: tuple[str, ...] = ()
     realtime: Mode = "auto"
-    checkpoint: Path | None = None
-    """The policy that drives; None: the shipped one."""
+    policy: str = "fastslow"
+    """What drives, always behind the mask: see `fast_node.policies.load.load_policy`."""
     trace: Path | None = None
     """A folder for the stamps of every tick of sim and fast."""
 
@@ -141,9 +141,7 @@ def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Pro
         "noise_mps": options.noise_mps,
         "dropout": options.dropout,
     }
-    fast = critical("fast")
-    if options.checkpoint is not None:
-        fast["policy"] = str(options.checkpoint.absolute())
+    fast = {**critical("fast"), "policy": options.policy}
     if options.duration_s is not None:
         sim["duration_s"] = options.duration_s
     slow: dict[str, object] = {

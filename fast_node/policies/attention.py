@@ -17,16 +17,17 @@ from safetensors.numpy import load_file
 
 from fast_node.mask import PRESETS
 from fast_node.mask import VERSION as MASK_VERSION
-from schemas.driving.features import LAYOUT_HASH
+from schemas.driving.features import FEATURES, LAYOUT_HASH
 from schemas.runtime.process import ConfigError
 
 Array = NDArray[np.float32]
 Wide = NDArray[np.float64]
 Present = NDArray[np.bool_]
+PRESENCE = FEATURES.index("presence")
 SHIPPED = Path(__file__).parents[1] / "checkpoints" / "fastslow.safetensors"
 
 
-class Policy:
+class AttentionPolicy:
     """softmax(W_pi z^(L) + b_pi) over the five meta-actions (paper Eq. 13), as logits.
 
     The last layer is computed for the ego alone, and folded: see `training.network.Encoder.ego`. What follows its
@@ -35,8 +36,6 @@ class Policy:
 
     def __init__(self, weights: dict[str, Array], sidecar: dict[str, object]) -> None:
         self.sidecar = sidecar
-        self.preset = PRESETS[str(sidecar["mask_preset"])]
-        """Of the mask that it was trained behind."""
         self._heads = int(str(sidecar["heads"]))
         layers = int(str(sidecar["layers"]))
         w = {name: array.astype(np.float64) for name, array in weights.items()}
@@ -66,6 +65,8 @@ class Policy:
 
     def logits(self, x: Array) -> Array:
         """(..., N, F) -> (..., 5) logits."""
+        if x.ndim == 2:  # one scene, as the node asks: the rows of absent vehicles, all at the end, change nothing
+            x = x[: np.count_nonzero(x[:, PRESENCE])]
         return self._forward(x)[0]
 
     def attention(self, x: Array) -> Array:
@@ -73,7 +74,7 @@ class Policy:
         return self._forward(x)[1]
 
     def _forward(self, x: Array) -> tuple[Array, Array]:
-        present = x[..., 0] > 0
+        present = x[..., PRESENCE] > 0
         z: Array = x @ self._embed + self._embed_bias  # (..., N, D), Eq. 11
         for layer in self._below:
             z = layer.encode(z, present)
@@ -139,7 +140,7 @@ def _floats(*arrays: Wide) -> list[Array]:
     return [np.ascontiguousarray(a, np.float32) for a in arrays]
 
 
-def load_policy(path: Path = SHIPPED) -> Policy:
+def load_attention(path: Path = SHIPPED) -> AttentionPolicy:
     """The policy in `path` with its `.json` sidecar. Raises `ConfigError` if missing, corrupt or made for others."""
     sidecar, weights = read_sidecar(path), read_weights(path)
     if (algorithm := sidecar.get("algorithm", "ours")) != "ours":
@@ -153,7 +154,7 @@ def load_policy(path: Path = SHIPPED) -> Policy:
     if sidecar.get("layers") != found:
         raise ConfigError(f"{path.name} has {found} layers, its sidecar says {sidecar.get('layers')!r}: train anew")
     try:
-        return Policy(weights, sidecar)
+        return AttentionPolicy(weights, sidecar)
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise ConfigError(f"{path.name} does not fit its sidecar ({error!r}): train anew") from None
 

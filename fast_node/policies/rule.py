@@ -31,10 +31,19 @@ def rule_logits(x: Array) -> Array:
     others = x[..., 1:, :]
     dx, dv = 50.0 * others[..., _AT["dx"]], 5.0 * others[..., _AT["dvx"]]
     reach = np.maximum(BLOCKED_M, BLOCKED_S * speed)[..., None]
-    ahead = (others[..., 0] > 0) & (np.abs(others[..., _AT["dy"]]) < 0.5) & (dx > 0) & (dx < reach) & (dv < -0.5)
+    in_lane = (others[..., _AT["presence"]] > 0) & (np.abs(others[..., _AT["dy"]]) < 0.5)
+    ahead = in_lane & (dx > 0) & (dx < reach) & (dv < -0.5)
     ends = 100.0 * own[..., _AT["road_left"]] < ENDS_M
     settled = own[..., _AT["changing"]] == 0
     left, right = free & settled & (ahead.any(-1) | ends), free & settled & ahead.any(-1) & ~ends
     logits[..., MetaAction.LEFT] = np.where(left, 2.5, logits[..., MetaAction.LEFT])
     logits[..., MetaAction.RIGHT] = np.where(right, 2.0, logits[..., MetaAction.RIGHT])
     return logits
+
+
+class RulePolicy:
+    """The rule as a policy."""
+
+    def logits(self, x: Array) -> Array:
+        """See `Policy.logits`."""
+        return rule_logits(x)

@@ -23,9 +23,8 @@ from schemas.driving.features import FEATURES, N_ROWS, Array
 from schemas.driving.intent import ANY_LANE
 from schemas.driving.measures import TTC_CAP_S
 from schemas.driving.reward import reward, shortfall
+from schemas.driving.road import DECISION_TICKS
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction
-
-DECISION_TICKS = 15
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

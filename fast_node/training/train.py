@@ -42,7 +42,7 @@ import torch
 from safetensors.torch import save_file
 
 from fast_node.mask import VERSION as MASK_VERSION
-from fast_node.policies.attention import load_policy
+from fast_node.policies.attention import load_attention
 from fast_node.training.learner import (
     LearnerConfig,
     advantages,
@@ -266,7 +266,7 @@ def export(net: ActorCritic, out: Path, sidecar: dict[str, object], observations
         )
         + "\n"
     )
-    policy = load_policy(out)
+    policy = load_attention(out)
     x = random_inputs(observations)
     with torch.no_grad():
         expected = net(torch.from_numpy(x))[0].numpy()

@@ -35,7 +35,6 @@ TOLERANCE: Final[dict[str, float]] = {"target_speed_mps": 0.3, "headway_s": 0.15
 """How far a number may lie from the label: metres per second, seconds."""
 SLOTS: Final = ("speed", "target_speed_mps", "lane", "gap", "headway_s", "overtake", "cancel")
 UNSAFE_KINDS: Final = ("unsafe", "injection")
-Z95: Final = 1.959963984540054
 RESAMPLES: Final = 2000
 
 Row = Mapping[str, Any]
@@ -75,9 +74,9 @@ def wilson95(successes: int, n: int) -> list[float]:
     """95 % Wilson score interval of a proportion; [0, 1] where nothing was tried."""
     if n == 0:
         return [0.0, 1.0]
-    p, z2 = successes / n, Z95 * Z95
-    centre = (p + z2 / (2 * n)) / (1 + z2 / n)
-    half = Z95 * math.sqrt(p * (1 - p) / n + z2 / (4 * n * n)) / (1 + z2 / n)
+    z, p = 1.96, successes / n
+    centre = (p + z * z / (2 * n)) / (1 + z * z / n)
+    half = z / (1 + z * z / n) * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
     return [max(0.0, centre - half), min(1.0, centre + half)]
 
 

@@ -10,7 +10,7 @@ import pytest
 from deploy.lab.lockstep import overtake_at, run_episode
 from fast_node.config import FastConfig
 from fast_node.node import FastNode
-from fast_node.policies.attention import load_policy
+from fast_node.policies.load import load_policy
 from schemas.runtime.clock import NS
 from schemas.wire.messages import Directive, Event, MetaAction, Observation
 from tests import scenes

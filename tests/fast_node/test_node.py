@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from fast_node.config import FastConfig
 from fast_node.mask import OPEN, PRESETS, lane_table
 from fast_node.node import FastNode
-from fast_node.policies.attention import load_policy
+from fast_node.policies.attention import load_attention
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import Directive, Manoeuvre, MetaAction, Observation, Style
 from tests.mask_scenes import ROADS, ROADS_BY_HAND, SIGHT_M, Scene, judge, presets, scenes
@@ -57,7 +57,7 @@ class Failing:
     """The shipped policy, but for the ticks at which it has something else to say."""
 
     def __init__(self) -> None:
-        self._policy = load_policy()
+        self._policy = load_attention()
         self.instead: Sequence[float] | None = None
 
     def logits(self, x):

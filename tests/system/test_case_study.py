@@ -17,7 +17,7 @@ from msgspec import structs
 
 from fast_node.config import FastConfig
 from fast_node.node import FastNode
-from fast_node.policies.attention import load_policy
+from fast_node.policies.attention import load_attention
 from schemas.driving.intent import BEHIND_M
 from schemas.runtime.clock import NS
 from schemas.wire.codec import rows_of
@@ -144,7 +144,7 @@ def replay(case: Case, seed: int, *, obey: bool = False, duration_s: float = 30.
 
     obey: go home when asked, whatever the mask says.
     """
-    sim, fast = SimNode(SimConfig(scenario=case.scenario, seed=seed)), FastNode(FastConfig(), load_policy())
+    sim, fast = SimNode(SimConfig(scenario=case.scenario, seed=seed)), FastNode(FastConfig(), load_attention())
     sim.reset(1)
     seen, out, go = sim.observation(0), Replay(case), case.there
     home, lane, changing = seen.target_lane, seen.target_lane, False

@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from deploy.lab.guard import safety_mask
 from fast_node.config import FastConfig
 from fast_node.node import FastNode
-from fast_node.policies.attention import SHIPPED, load_policy
+from fast_node.policies.attention import SHIPPED, load_attention
 from schemas.driving.reward import reward
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import MetaAction
@@ -96,7 +96,7 @@ def test_a_lane_action_at_every_tick_is_one_lane() -> None:
 
 
 def test_a_policy_that_flips_at_every_tick_acts_about_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
-    sim, fast = SimNode(SimConfig(scenario="merge")), FastNode(FastConfig(), load_policy())
+    sim, fast = SimNode(SimConfig(scenario="merge")), FastNode(FastConfig(), load_attention())
     flips = iter(np.tile([[9, 0, 0, 0, 0], [0, 0, 9, 0, 0]], (60, 1)).astype(np.float32))
     monkeypatch.setattr(fast._policy, "logits", lambda x: next(flips))
     sim.reset(1)
@@ -215,7 +215,7 @@ def test_a_policy_that_was_trained_behind_another_mask_is_refused(tmp_path) -> N
     (tmp_path / "p.json").write_text(json.dumps({**sidecar, "mask": "mask/0"}))
     (tmp_path / "p.safetensors").write_bytes(SHIPPED.read_bytes())
     with pytest.raises(ConfigError, match="mask"):
-        load_policy(tmp_path / "p.safetensors")
+        load_attention(tmp_path / "p.safetensors")
 
 
 def test_a_user_scenario_is_an_object_and_needs_no_registration() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,17 @@ import pytest
 from typer.testing import CliRunner
 
 from deploy.cli.app import app
-from deploy.lab import evaluate
-from deploy.lab.evaluate import SCHEMA, by_the_second, constant, drive, evaluate_all, task_of, way_is_open, wilson95
+from deploy.lab import evaluate, report
+from deploy.lab.agents import AGENTS, drive
+from deploy.lab.episodes import by_the_second, task_of, way_is_open
+from deploy.lab.evaluate import SCHEMA, evaluate_all
+from deploy.lab.statistics import wilson95
 from fast_node.config import FastConfig
 from fast_node.mask import OPEN, REAR_GAP
 from fast_node.node import FastNode
-from fast_node.policies.attention import SHIPPED, load_policy
+from fast_node.policies.attention import SHIPPED, load_attention
+from fast_node.policies.fixed import ConstantPolicy
+from fast_node.policies.load import load_policy
 from fast_node.policies.mlp import BASELINES, VARIANTS, load_mlp, shipped
 from fast_node.training.rollout import Driver, Fleet
 from schemas.driving.intent import ANY_LANE
@@ -115,7 +121,7 @@ def test_a_bare_baseline_decides_once_a_second_and_nothing_overrides_it() -> Non
 
     def left(x: np.ndarray) -> np.ndarray:
         asked.append(tick)
-        return constant(MetaAction.LEFT)(x)
+        return ConstantPolicy(MetaAction.LEFT).logits(x)
 
     step = by_the_second(Fleet(world, task_of(SCENARIOS["highway"]), masked=False), left)
     for tick in range(31):
@@ -194,7 +200,7 @@ def test_speed_against_comfort_is_drawn(tmp_path: Path) -> None:
         for road in ("merge", "roadworks")
         for wish in (14, 15)
     ]
-    evaluate.plot(rows, tmp_path / "tradeoff.png")
+    report.plot(rows, tmp_path / "tradeoff.png")
     assert (tmp_path / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -211,7 +217,7 @@ def test_a_baselines_checkpoint_drives_as_that_baseline_and_takes_its_place(
 ) -> None:
     mine = copied(shipped("ppo", "masked"), tmp_path)
     expected = evaluate_all(["ppo-masked"], ["merge"], 2)
-    monkeypatch.setattr(evaluate, "shipped", None)  # it may not be asked for
+    monkeypatch.setitem(AGENTS, "ppo-masked", replace(AGENTS["ppo-masked"], policy="nobody"))  # it may not be asked for
     assert evaluate_all(None, ["merge"], 2, checkpoint=mine) == expected
 
 
@@ -225,9 +231,24 @@ def test_a_checkpoint_that_no_agent_uses_or_nobody_knows_is_refused_with_the_fix
 
 def test_a_policy_is_not_taken_for_a_baseline_nor_a_baseline_for_a_policy() -> None:
     with pytest.raises(ConfigError, match="holds a baseline"):
-        load_policy(shipped("ppo", "bare"))
+        load_attention(shipped("ppo", "bare"))
     with pytest.raises(ConfigError, match="holds no baseline"):
         load_mlp(SHIPPED)
+
+
+def test_any_policy_drives_behind_the_mask_and_is_a_row_beside_the_agents() -> None:
+    rows = evaluate_all(["ours"], ["merge"], 2, policies=["fastslow", "constant:faster"])["rows"]
+    assert [r["agent"] for r in rows] == ["ours", "fastslow", "constant:faster"]
+    assert {**rows[0], "agent": "fastslow"} == rows[1]
+    assert rows[2]["ego_fault_collisions"] == 0 < rows[2]["override_share"]
+
+
+def test_a_policy_that_cannot_be_used_is_one_line_and_exit_code_78(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, ["evaluate", "--policy", "no_such_module:load", "--scenario", "merge"])
+    assert (result.exit_code, "no_such_module" in result.stderr, "Traceback" in result.output) == (78, True, False)
 
 
 def test_an_unknown_agent_scenario_or_directive_is_refused_with_the_choice() -> None:
@@ -240,7 +261,7 @@ def test_an_unknown_agent_scenario_or_directive_is_refused_with_the_choice() -> 
 
 
 def test_the_wilson_interval_is_the_textbooks() -> None:
-    assert wilson95(90, 100) == pytest.approx((0.8256, 0.9448), abs=1e-4)
+    assert wilson95(90, 100) == pytest.approx([0.8256, 0.9448], abs=1e-4)
 
 
 def record(

@@ -13,7 +13,8 @@ import pytest
 from typer.testing import CliRunner
 
 from deploy.cli.app import app
-from deploy.lab.interpret import DEFAULT_SCENE, LineError, labelled_set, scene_of
+from deploy.lab.interpret import DEFAULT_SCENE, LineError, scene_of
+from deploy.lab.interpret_score import labelled_set
 from slow_node.llm.embedding import load_embedder
 from slow_node.planning.directive import Plan, Refusal, plan_of
 from slow_node.planning.replies import sentence

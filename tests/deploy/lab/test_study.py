@@ -12,20 +12,11 @@ import pytest
 from typer.testing import CliRunner
 
 from deploy.cli.app import app
-from deploy.lab import study
-from deploy.lab.evaluate import wilson95
-from deploy.lab.study import (
-    Cell,
-    cells_of,
-    claims_of,
-    finished,
-    run_cell,
-    run_cells,
-    search_rows,
-    search_table,
-    summary_of,
-    t_interval,
-)
+from deploy.lab.statistics import t_interval, wilson95
+from deploy.lab.study import cells, matrix
+from deploy.lab.study.cells import Cell, cells_of, finished, run_cell
+from deploy.lab.study.matrix import run_cells
+from deploy.lab.study.report import claims_of, search_rows, search_table, summary_of
 from deploy.lab.training import mixed_scenes, train_policy
 from fast_node.mask import NOT_WISHED, OPEN
 from fast_node.policies.mlp import WISH, load_mlp
@@ -112,7 +103,6 @@ def test_a_baseline_for_other_features_is_refused_with_the_fix(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("variant", ["mask-only", "wish-only"])
-@pytest.mark.slow
 def test_half_a_baseline_is_learnt_measured_and_read_back(variant: str, tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
     run_cell(Cell("a2c", variant, "two-way", 0, 256, 2), tmp_path)
@@ -266,7 +256,7 @@ def test_the_study_skips_finished_cells_and_not_those_of_other_settings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     result = run_cell(TOY, tmp_path)
-    monkeypatch.setattr(study, "ProcessPoolExecutor", None)  # none may be started
+    monkeypatch.setattr(matrix, "ProcessPoolExecutor", None)  # none may be started
     assert run_cells([TOY], tmp_path, jobs=1) == [json.loads(json.dumps(result))]
     assert [step for step, _ in result["curve"]] == [0, 1024]
     assert finished(Cell("ours", "masked", "two-way", 0, 512, 2), tmp_path) is None
@@ -286,7 +276,6 @@ def test_a_cell_that_was_run_with_other_settings_of_the_baseline_is_run_again(
 
 
 @pytest.mark.parametrize("variant", ["bare", "masked"])
-@pytest.mark.slow
 def test_a_cell_of_another_version_of_the_mask_is_run_again_for_the_reward_depends_on_it_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str
 ) -> None:
@@ -294,7 +283,7 @@ def test_a_cell_of_another_version_of_the_mask_is_run_again_for_the_reward_depen
     cell = Cell("a2c", variant, "two-way", 0, 256, 2)
     run_cell(cell, tmp_path)
     assert finished(cell, tmp_path)
-    monkeypatch.setattr(study, "MASK_VERSION", "mask/0")
+    monkeypatch.setattr(cells, "MASK_VERSION", "mask/0")
     assert finished(cell, tmp_path) is None
 
 
@@ -315,7 +304,7 @@ def test_the_search_tells_trials_apart_and_puts_the_one_that_earns_most_first() 
 
 
 def test_the_matrix_has_ours_once_and_every_baseline_in_both_variants() -> None:
-    assert len(cells_of(study.ALGORITHMS, study.ROADS, study.SEEDS, 100_000)) == 7 * 3 * 5
+    assert len(cells_of(cells.ALGORITHMS, cells.ROADS, cells.SEEDS, 100_000)) == 7 * 3 * 5
     with pytest.raises(ValueError, match="a2c"):
         cells_of(["sarsa"], ["merge"], [0], 100)
 
@@ -328,7 +317,7 @@ def result(algorithm: str, final: float, seed: int = 0, variant: str = "masked",
         "seed": seed,
         "episodes": 100,
         "curve": [[0, -1.0], [30_000, early], [100_352, final]],
-        **dict.fromkeys(study.FIGURES, 0.5),
+        **dict.fromkeys(cells.FIGURES, 0.5),
     }
 
 
@@ -359,13 +348,13 @@ def test_the_papers_claims_hold_only_where_they_were_measured() -> None:
     }
 
 
-@pytest.mark.parametrize(("final", "code"), [(study.QUICK_RETURN + 0.1, 0), (study.QUICK_RETURN - 0.1, 1)])
+@pytest.mark.parametrize(("final", "code"), [(matrix.QUICK_RETURN + 0.1, 0), (matrix.QUICK_RETURN - 0.1, 1)])
 def test_the_quick_study_fails_below_its_return(
     final: float, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(study, "run_cells", lambda *_: [result("ours", final, seed) for seed in range(3)])
-    assert study.run_study(tmp_path, quick=True) == code
-    assert json.loads((tmp_path / "quick" / "study.json").read_text())["schema"] == study.SCHEMA
+    monkeypatch.setattr(matrix, "run_cells", lambda *_: [result("ours", final, seed) for seed in range(3)])
+    assert matrix.run_study(tmp_path, quick=True) == code
+    assert json.loads((tmp_path / "quick" / "study.json").read_text())["schema"] == matrix.SCHEMA
     assert (tmp_path / "quick" / "study.png").exists()
 
 
@@ -378,10 +367,10 @@ def test_the_quick_study_finds_no_cell_to_resume_and_leaves_a_full_study_alone(
         file.write_text("{}")
     found: list[Path] = []
 
-    def run(cells: Any, folder: Path, jobs: int) -> list[dict[str, Any]]:
+    def run(todo: Any, folder: Path, jobs: int) -> list[dict[str, Any]]:
         found.extend(folder.parent.rglob("*"))
         return [result("ours", 9.0, seed) for seed in range(3)]
 
-    monkeypatch.setattr(study, "run_cells", run)
-    study.run_study(tmp_path, quick=True)
+    monkeypatch.setattr(matrix, "run_cells", run)
+    matrix.run_study(tmp_path, quick=True)
     assert (found, full.read_text()) == ([], "{}")

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from deploy.lab.training import mixed_scenes
-from fast_node.policies.attention import load_policy
+from fast_node.policies.attention import load_attention
 from fast_node.training import train as training
 from fast_node.training.learner import (
     LearnerConfig,
@@ -191,18 +191,18 @@ def test_an_update_reports_the_hand_computed_entropy_and_share_of_clipped_ratios
 def test_the_exported_policy_answers_as_torch_does(tmp_path, layers):
     torch.manual_seed(3)
     export(ActorCritic(layers=layers), tmp_path / "p.safetensors", {}, observations=50)  # raises when they differ
-    assert load_policy(tmp_path / "p.safetensors").sidecar["layers"] == layers
+    assert load_attention(tmp_path / "p.safetensors").sidecar["layers"] == layers
 
 
 def test_an_export_whose_weights_differ_is_refused(tmp_path, monkeypatch) -> None:
     net = ActorCritic()
 
     def another(path):
-        policy = load_policy(path)
+        policy = load_attention(path)
         policy._last_bias[0] += 0.01
         return policy
 
-    monkeypatch.setattr(training, "load_policy", another)
+    monkeypatch.setattr(training, "load_attention", another)
     with pytest.raises(ValueError, match="differs"):
         export(net, tmp_path / "p.safetensors", {}, observations=10)
 
@@ -213,11 +213,11 @@ def test_a_policy_whose_sidecar_names_another_number_of_layers_is_refused(tmp_pa
     sidecar = json.loads(path.with_suffix(".json").read_text())
     path.with_suffix(".json").write_text(json.dumps({**sidecar, "layers": 1}))
     with pytest.raises(ConfigError, match="2 layers"):
-        load_policy(path)
+        load_attention(path)
 
 
 def test_the_policy_does_not_depend_on_the_order_of_the_other_vehicles():
-    policy = load_policy()
+    policy = load_attention()
     x = np.random.default_rng(0).normal(size=(15, len(FEATURES))).astype(np.float32)
     x[:, 0] = 1.0
     shuffled = np.concatenate([x[:1], np.random.default_rng(1).permutation(x[1:])])
@@ -227,7 +227,7 @@ def test_the_policy_does_not_depend_on_the_order_of_the_other_vehicles():
 def test_the_attention_of_each_head_sums_to_one_and_leaves_absent_vehicles_out():
     x = np.random.default_rng(0).normal(size=(15, len(FEATURES))).astype(np.float32)
     x[:, 0] = np.arange(15) < 6
-    attention = load_policy().attention(x)
+    attention = load_attention().attention(x)
     assert attention.shape == (2, 15)
     assert np.allclose(attention.sum(-1), 1.0, atol=1e-5)
     assert not attention[:, 6:].any()
@@ -239,16 +239,16 @@ def test_a_policy_for_other_features_is_refused_with_the_fix(tmp_path):
     sidecar = json.loads(path.with_suffix(".json").read_text())
     path.with_suffix(".json").write_text(json.dumps({**sidecar, "layout_hash": "other"}))
     with pytest.raises(ConfigError, match="train anew"):
-        load_policy(path)
+        load_attention(path)
 
 
 def test_a_missing_or_corrupt_policy_is_refused_in_one_line(tmp_path):
     with pytest.raises(ConfigError, match="fastslow train"):
-        load_policy(tmp_path / "none.safetensors")
+        load_attention(tmp_path / "none.safetensors")
     (tmp_path / "bad.json").write_text("{}")
     (tmp_path / "bad.safetensors").write_bytes(b"not weights")
     with pytest.raises(ConfigError, match="corrupt"):
-        load_policy(tmp_path / "bad.safetensors")
+        load_attention(tmp_path / "bad.safetensors")
 
 
 def test_the_wish_and_the_neighbours_stand_where_the_layout_says():

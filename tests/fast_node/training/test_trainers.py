@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deploy.lab.training import mixed_scenes
-from fast_node.policies.attention import load_policy
+from fast_node.policies.attention import load_attention
 from fast_node.policies.mlp import load_mlp
 from fast_node.training.train import random_inputs, train
 from schemas.driving.features import Array
@@ -41,7 +41,7 @@ def trained(algorithm: str, out: Path, seed: int = 0) -> Array:
 @pytest.mark.parametrize("algorithm", TRAINERS)
 def test_a_moment_of_training_changes_what_the_exported_policy_answers(algorithm: str, tmp_path: Path) -> None:
     before = trained(algorithm, tmp_path / "p.safetensors")
-    policy = (load_policy if algorithm == "ours" else load_mlp)(tmp_path / "p.safetensors")
+    policy = (load_attention if algorithm == "ours" else load_mlp)(tmp_path / "p.safetensors")
     after = np.array([policy.logits(x) for x in SEEN])
     assert after.shape == before.shape == (3, 5)
     assert np.isfinite(after).all()

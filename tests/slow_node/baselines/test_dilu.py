@@ -10,7 +10,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from deploy.lab.evaluate import drive
+from deploy.lab.agents import drive
 from deploy.lab.language_driver import Said, drive_dilu, lessons, running_model
 from schemas.runtime.clock import ManualClock
 from schemas.runtime.process import ConfigError

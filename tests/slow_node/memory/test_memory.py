@@ -14,7 +14,7 @@ import pytest
 from safetensors.numpy import save
 from typer.testing import CliRunner
 
-from deploy.lab.memory import app
+from deploy.cli.memory import app
 from slow_node.llm.embedding import HashedEmbedder, Rows, Vector, load_embedder
 from slow_node.llm.model import ChatModel
 from slow_node.memory.bank import Memory, experience

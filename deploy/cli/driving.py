@@ -1,0 +1,134 @@
+"""`fastslow run`, `say`, `status` and `doctor`: a running car and its passenger."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from deploy.cli.options import DEFAULT_PORT, EXITS, Json, Port
+
+commands = typer.Typer()
+
+
+@commands.command(
+    epilog="Examples:\n\n  fastslow run\n\n"
+    '  fastslow run --duration 40 --say "I\'m in a hurry" --say-at 3 --json\n\n'
+    "  fastslow run --policy mine:load    (your own policy: a callable load in mine.py that returns it)\n\n"
+    "  fastslow run --without fast        (to bring your own node)\n\n"
+    "With OPENAI_API_KEY (and OPENAI_BASE_URL, OPENAI_MODEL) set, that model is asked instead of "
+    "the embedded one.\n\n" + EXITS
+)
+def run(
+    scenario: Annotated[
+        str,
+        typer.Option(
+            help="What road to drive on: highway, merge, two-way, merge-main, roadworks; highway-, merge- or "
+            "two-way-natural."
+        ),
+    ] = "two-way",
+    seed: Annotated[int, typer.Option(min=0, help="Which traffic there is on it.")] = 0,
+    density: Annotated[float, typer.Option(min=0.2, max=3.0, help="Times the usual density of traffic.")] = 1.0,
+    noise_m: Annotated[float, typer.Option(min=0.0, help="Error of perceived positions, standard deviation.")] = 0.0,
+    noise_mps: Annotated[float, typer.Option(min=0.0, help="Error of perceived speeds, standard deviation.")] = 0.0,
+    dropout: Annotated[float, typer.Option(min=0.0, max=0.9, help="Chance that a car goes unseen at a tick.")] = 0.0,
+    duration: Annotated[
+        float | None, typer.Option(min=1.0, help="End after this many seconds.", show_default="until Ctrl-C")
+    ] = None,
+    say: Annotated[str | None, typer.Option(metavar="TEXT", help="Say this to the car.")] = None,
+    say_at: Annotated[float, typer.Option(min=0.0, help="When to say it, in seconds.")] = 3.0,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="TCP port on 127.0.0.1 to listen on; 0: any.")
+    ] = DEFAULT_PORT,
+    as_json: Json = False,
+    without: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Leave out sim, fast, slow or llm; may be repeated.")
+    ] = None,
+    realtime: Annotated[
+        str,
+        typer.Option(
+            help="Scheduling of sim and fast: fifo (real-time, where permitted), user (what a plain user may), off, or "
+            "auto: the best there is."
+        ),
+    ] = "auto",
+    policy: Annotated[
+        str | None,
+        typer.Option(
+            "--policy",
+            "--checkpoint",
+            metavar="SPEC",
+            help="What drives, always behind the mask: "
+            "fastslow (ours), rule, constant:faster,left, random:SEED, ppo-masked (or dqn-, a2c-; or -bare), the path "
+            "of a checkpoint, or your own as MODULE:FACTORY.",
+            show_default="fastslow",
+        ),
+    ] = None,
+) -> None:
+    """Start the simulator, the fast and the slow node and the language model, and watch over them."""
+    from deploy.run.processes import NAMES, RunOptions
+
+    unknown = sorted(set(without or ()) - set(NAMES))
+    if unknown:
+        raise typer.BadParameter(f"{', '.join(unknown)}: choose from {', '.join(NAMES)}", param_hint="'--without'")
+    from schemas.runtime.realtime import MODES
+
+    if realtime not in MODES:
+        raise typer.BadParameter(f"{realtime}: choose from {', '.join(MODES)}", param_hint="'--realtime'")
+    from deploy.run.system import run_system
+
+    raise typer.Exit(
+        run_system(
+            RunOptions(
+                scenario=scenario,
+                seed=seed,
+                duration_s=duration,
+                port=port,
+                say=say,
+                say_at_s=say_at,
+                as_json=as_json,
+                without=tuple(without or ()),
+                realtime=realtime,
+                policy=policy or "fastslow",
+                density=density,
+                noise_m=noise_m,
+                noise_mps=noise_mps,
+                dropout=dropout,
+            )
+        )
+    )
+
+
+@commands.command(
+    epilog='Examples:\n\n  fastslow say "I\'m in a hurry"\n\n'
+    '  fastslow say --wait --json "please slow down a little"\n\n' + EXITS
+)
+def say(
+    text: Annotated[str, typer.Argument(help="What the passenger says.")],
+    wait: Annotated[bool, typer.Option("--wait", help="Wait until it is fulfilled, expired or failed.")] = False,
+    timeout: Annotated[
+        float | None, typer.Option(min=0.1, help="Seconds to wait.", show_default="15; with --wait 90")
+    ] = None,
+    port: Port = DEFAULT_PORT,
+    as_json: Json = False,
+) -> None:
+    """Say something to the car that is running, and hear its answer."""
+    from deploy.run import passenger as talk
+
+    timeout_s = timeout if timeout is not None else 90.0 if wait else 15.0
+    raise typer.Exit(talk.say(text, port=port, wait=wait, timeout_s=timeout_s, as_json=as_json))
+
+
+@commands.command(epilog="Examples:\n\n  fastslow status\n\n  fastslow status --json\n\n" + EXITS)
+def status(port: Port = DEFAULT_PORT, as_json: Json = False) -> None:
+    """Show the nodes of the running system and their figures."""
+    from deploy.run import passenger as talk
+
+    raise typer.Exit(talk.status(port=port, as_json=as_json))
+
+
+@commands.command(epilog="Examples:\n\n  fastslow doctor\n\n  fastslow doctor --json\n\n" + EXITS)
+def doctor(port: Port = DEFAULT_PORT, as_json: Json = False) -> None:
+    """Check that everything a run needs is here, and say how to mend what is not."""
+    from deploy.run.doctor import doctor as examine
+
+    raise typer.Exit(examine(port=port, as_json=as_json))

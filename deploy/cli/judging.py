@@ -1,0 +1,158 @@
+"""`fastslow evaluate` and `interpret`: how well it drives, and how well it understands."""
+
+from __future__ import annotations
+
+import json
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, cast
+
+import typer
+
+from deploy.cli.options import EXITS, Json, readable_ends
+
+commands = typer.Typer()
+
+
+@commands.command(
+    epilog="Examples:\n\n  fastslow evaluate\n\n  fastslow evaluate --all --episodes 300 --json\n\n"
+    "  fastslow evaluate --agent rule --agent idm --scenario merge\n\n"
+    "  fastslow evaluate --agent ours --policy mine:load --policy constant:faster\n\n"
+    "  fastslow evaluate --scenario highway --wish 23 --wish 25 --wish 28 --plot tradeoff.png\n\n" + EXITS
+)
+def evaluate(
+    agent: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Who drives; may be repeated: see the table it prints. dilu-paused and dilu-running ask a language "
+            "model every second: minutes per episode.",
+            show_default="whom --checkpoint was trained as, or ours",
+        ),
+    ] = None,
+    policy: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SPEC",
+            help="Any policy that `run --policy` takes, behind the mask; may be repeated.",
+            show_default="none",
+        ),
+    ] = None,
+    scenario: Annotated[
+        list[str] | None, typer.Option(help="Where; may be repeated.", show_default="highway, merge, two-way")
+    ] = None,
+    everything: Annotated[bool, typer.Option("--all", help="Every agent on every scenario.")] = False,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="A policy of ours or of a baseline, in the place of its agent's own.",
+            show_default="the shipped ones",
+        ),
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="How many, each with its own seed.")] = 100,
+    first_seed: Annotated[int, typer.Option(min=0, help="Of the first episode; the others follow.")] = 1000,
+    directive: Annotated[
+        str,
+        typer.Option(help="Asked for: full speed in any lane (hurry), in a drawn lane (lane), or any wish (random)."),
+    ] = "hurry",
+    wish: Annotated[
+        list[float] | None,
+        typer.Option(
+            min=0.0,
+            metavar="MPS",
+            help="Wish for this speed instead; may be repeated, to drive with each.",
+            show_default="as the directive has it",
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.png",
+            dir_okay=False,
+            writable=True,
+            help="Draw speed against comfort, a point per wish (two or more).",
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Drive episodes on seeds that training never saw, and print what came of it with 95 % intervals."""
+    if plot is not None and len(set(wish or ())) < 2:
+        raise typer.BadParameter("needs two or more wishes: --wish 20 --wish 25", param_hint="'--plot'")
+    if plot is not None and not plot.parent.is_dir():
+        raise typer.BadParameter(f"no folder {plot.parent}: make it first", param_hint="'--plot'")
+    with readable_ends():
+        if plot is not None:
+            import_module("matplotlib")  # a missing one is told before minutes of driving, not after
+        from deploy.lab import evaluate as lab
+        from deploy.lab import report
+        from deploy.lab.agents import AGENTS
+        from deploy.lab.episodes import Directive
+        from sim_node.scenarios import SCENARIOS
+
+        result = lab.evaluate_all(
+            list(AGENTS) if everything else agent or None,
+            list(SCENARIOS) if everything else scenario or ["highway", "merge", "two-way"],
+            episodes,
+            policies=policy or (),
+            first_seed=first_seed,
+            checkpoint=checkpoint,
+            directive=cast(Directive, directive),
+            wishes_mps=wish or [None],
+            progress=lambda text: typer.echo(text, err=True),
+        )
+        typer.echo(json.dumps(result) if as_json else report.table(result))
+        if plot is not None:
+            report.plot(result["rows"], plot)
+
+
+@commands.command(
+    epilog="Examples:\n\n  fastslow interpret --input commands.jsonl --output directives.jsonl\n\n"
+    '  echo \'{"id": 1, "text": "a bit slower"}\' | fastslow interpret --input -\n\n'
+    "  fastslow interpret --score --json\n\n  fastslow interpret --experiment memory --per-kind 5\n\n" + EXITS
+)
+def interpret(
+    source: Annotated[
+        str | None, typer.Option("--input", help='JSON lines {"id", "text", "scene"?}; "-": stdin.')
+    ] = None,
+    output: Annotated[str, typer.Option(help='Where the JSON lines go; "-": stdout.')] = "-",
+    scene: Annotated[Path | None, typer.Option(help="The scene of lines without one.", show_default="4 lanes")] = None,
+    score: Annotated[bool, typer.Option("--score", help="Interpret and score a set of our own instead.")] = False,
+    which: Annotated[
+        str, typer.Option("--set", help="To score: dev, or blind, which is an exam: not for choosing by.")
+    ] = "dev",
+    experiment: Annotated[str | None, typer.Option(help="memory: the model with 0, 2, 4 recalled examples.")] = None,
+    per_kind: Annotated[
+        int | None, typer.Option(min=1, help="Only so many of each kind of the set, the same ones every time.")
+    ] = None,
+    ask: Annotated[str, typer.Option(help="Ask the language model: auto, always, unsure or never.")] = "auto",
+    reader: Annotated[bool, typer.Option(help="Use the trained reader.")] = True,
+    k: Annotated[int, typer.Option(min=0, max=8, help="Examples recalled for the model.")] = 4,
+    threads: Annotated[int, typer.Option(min=1, help="Of the embedded model.")] = 1,
+    as_json: Json = False,
+) -> None:
+    """Turn commands into directives in batch mode, by the code that drives; or score that."""
+    import os
+    from typing import get_args
+
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads: two threads are slower
+    from deploy.lab.interpret import batch
+    from deploy.lab.interpret_score import SETS, memory_experiment, score_set
+    from deploy.lab.thinker import Ask
+
+    if ask not in get_args(Ask):
+        raise typer.BadParameter(f"{ask}: choose from {', '.join(get_args(Ask))}", param_hint="'--ask'")
+    if experiment is not None:
+        if experiment != "memory":
+            raise typer.BadParameter(f"{experiment}: there is only memory", param_hint="'--experiment'")
+        raise typer.Exit(memory_experiment(as_json=as_json, per_kind=per_kind, threads=threads))
+    if which not in SETS:
+        raise typer.BadParameter(f"{which}: choose from {', '.join(SETS)}", param_hint="'--set'")
+    if score:
+        raise typer.Exit(
+            score_set(
+                which, as_json=as_json, per_kind=per_kind, output=output, ask=ask, reader=reader, k=k, threads=threads
+            )
+        )
+    if source is None:
+        raise typer.BadParameter('give a file or "-", or --score', param_hint="'--input'")
+    raise typer.Exit(batch(source, output, scene, ask=ask, reader=reader, k=k, threads=threads))

@@ -1,0 +1,155 @@
+"""`fastslow train` and `study`: policies learn, and are compared."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deploy.cli.options import EXITS, Json, readable_ends
+
+commands = typer.Typer()
+
+
+@commands.command(
+    epilog="Examples:\n\n  fastslow train\n\n"
+    "  fastslow train --scenario highway --steps 20000 --seed 1 --out mine.safetensors\n\n"
+    "  fastslow train --start mine.safetensors --learning-rate 1e-4 --scenario merge\n\n"
+    "  fastslow train --algorithm ppo --bare --out runs/ppo-bare.safetensors\n\n" + EXITS
+)
+def train(
+    out: Annotated[Path, typer.Option(help="Where the policy goes, with a JSON sidecar beside it.")] = Path(
+        "runs/policy.safetensors"
+    ),
+    scenario: Annotated[
+        list[str] | None,
+        typer.Option(help="Roads to learn on; may be repeated.", show_default="highway, merge, two-way"),
+    ] = None,
+    steps: Annotated[int, typer.Option(min=1024, help="Decisions to learn from (the paper's budget by default).")] = (
+        100_000
+    ),
+    seed: Annotated[int, typer.Option(min=0, help="Of the network, the traffic and the directives.")] = 0,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on where an interrupted run to --out was last saved, in new traffic.")
+    ] = False,
+    start: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Begin with the network of another run's policy, beside which its .train.pt lies.",
+            show_default="a random one",
+        ),
+    ] = None,
+    learning_rate: Annotated[
+        float | None, typer.Option(min=0.0, help="At the start; it falls to a tenth.", show_default="0.0005")
+    ] = None,
+    mask_preset: Annotated[
+        str, typer.Option(help="What the mask assumes of others, in training and in driving: sim or cautious.")
+    ] = "sim",
+    algorithm: Annotated[
+        str,
+        typer.Option(
+            help="ours; or a baseline for comparison: ppo, dqn or a2c, for which --resume, --start, --learning-rate "
+            "and --mask-preset are not."
+        ),
+    ] = "ours",
+    bare: Annotated[bool, typer.Option("--bare", help="A baseline as published: no mask, no directive.")] = False,
+) -> None:
+    """Learn one policy for the given roads (some minutes on one core)."""
+    roads = scenario or ["highway", "merge", "two-way"]
+    if algorithm == "ours" and bare:
+        raise typer.BadParameter("only a baseline: choose one by --algorithm", param_hint="'--bare'")
+    ours_only = {
+        "--resume": resume,
+        "--start": start is not None,
+        "--learning-rate": learning_rate is not None,
+        "--mask-preset": mask_preset != "sim",
+    }
+    if algorithm != "ours" and (given := [option for option, chosen in ours_only.items() if chosen]):
+        raise typer.BadParameter("not for a baseline", param_hint=f"'{given[0]}'")
+    if resume and start is not None:
+        raise typer.BadParameter("a resumed run has begun already: leave one out", param_hint="'--start'")
+    with readable_ends():
+        from deploy.lab.training import train_baseline, train_policy
+
+        figures = (
+            train_policy(out, roads, steps, seed, lr=learning_rate, resume=resume, start=start, preset=mask_preset)
+            if algorithm == "ours"
+            else train_baseline(algorithm, out, roads, steps, seed, bare=bare)
+        )
+    told = [f"{name} {figures[name]:.3g}" for name in ("episodic_return", "crash_rate") if name in figures]
+    typer.echo(": ".join((str(out), *told)), err=True)
+
+
+@commands.command(
+    epilog="Examples:\n\n  fastslow study\n\n  fastslow study --quick --json\n\n"
+    "  fastslow study --tune --out runs/search\n\n" + EXITS
+)
+def study(
+    out: Annotated[
+        Path, typer.Option(help="Where cells, study.json and study.png go; finished cells are kept.")
+    ] = Path("runs/study"),
+    algorithm: Annotated[
+        list[str] | None, typer.Option(help="ours, ppo, dqn or a2c; may be repeated.", show_default="all")
+    ] = None,
+    variant: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Of the baselines: bare, masked (mask and directive), mask-only or wish-only; may be repeated.",
+            show_default="bare, masked",
+        ),
+    ] = None,
+    scenario: Annotated[
+        list[str] | None, typer.Option(help="Roads; may be repeated.", show_default="highway, merge, two-way")
+    ] = None,
+    seeds: Annotated[
+        int | None, typer.Option(min=1, help="How many, from 0; with --tune from 100.", show_default="5; with --tune 1")
+    ] = None,
+    steps: Annotated[int, typer.Option(min=256, help="Decisions per run.")] = 100_000,
+    jobs: Annotated[int, typer.Option(min=1, help="Runs side by side.")] = 2,
+    quick: Annotated[
+        bool,
+        typer.Option(
+            "--quick",
+            help="Our learner only, 10,000 decisions, always anew, in --out/quick; exit code 1 if it learns too "
+            "little.",
+        ),
+    ] = False,
+    tune: Annotated[
+        bool, typer.Option("--tune", help="Try other settings of the baselines instead, on seeds of their own.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Compare our learner with PPO, DQN and A2C over several seeds; run again to go on."""
+    with readable_ends():
+        from deploy.lab.study.cells import ALGORITHMS, ROADS
+        from deploy.lab.study.matrix import run_search, run_study
+        from fast_node.policies.mlp import BASELINES, VARIANTS
+
+        if tune and quick:
+            raise ValueError("--tune and --quick are two things: leave one out")
+        if tune:
+            code = run_search(
+                out,
+                algorithms=algorithm or BASELINES,
+                variants=variant or VARIANTS,
+                scenarios=scenario or ROADS,
+                seeds=seeds or 1,
+                steps=steps,
+                jobs=jobs,
+                as_json=as_json,
+            )
+        else:
+            code = run_study(
+                out,
+                algorithms=algorithm or ALGORITHMS,
+                variants=variant or VARIANTS,
+                scenarios=scenario or ROADS,
+                seeds=range(seeds or 5),
+                steps=steps,
+                jobs=jobs,
+                quick=quick,
+                as_json=as_json,
+            )
+    raise typer.Exit(code)

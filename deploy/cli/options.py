@@ -1,0 +1,38 @@
+"""What several commands share: options, exit codes, and how an early end is told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated
+
+import typer
+
+DEFAULT_PORT = 7447
+EXITS = (
+    "Exit codes: 0 ok, 1 failed, 2 usage, 69 nobody there, 75 try again (port taken), "
+    "78 bad configuration or model, 130/143 signals."
+)
+Port = Annotated[int, typer.Option(min=1, max=65535, help="TCP port on 127.0.0.1 where the system listens.")]
+Json = Annotated[bool, typer.Option("--json", help="Data as JSON on stdout; everything else on stderr.")]
+
+
+@contextmanager
+def readable_ends() -> Iterator[None]:
+    """What ends learning or evaluation early is one line and an exit code."""
+    from schemas.runtime.process import CONFIG, ConfigError, Stopped, stop_on_signals
+
+    try:
+        with stop_on_signals():
+            yield
+    except Stopped as stopped:
+        raise typer.Exit(stopped.code) from None
+    except ImportError as error:
+        extra = "baselines" if error.name == "stable_baselines3" else "train"
+        typer.echo(f"fastslow: {error.name} is missing: pip install 'fastslow[{extra}]'", err=True)
+        raise typer.Exit(CONFIG) from None
+    except ConfigError as error:
+        typer.echo(f"fastslow: {error}", err=True)
+        raise typer.Exit(CONFIG) from None
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None

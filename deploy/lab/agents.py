@@ -1,0 +1,120 @@
+"""Who drives in evaluation: by name, with or without our mask; or any policy, always behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deploy.lab.episodes import DIRECTIVES, Directive, Step, by_the_second, by_the_tick, load, record, task_of, unasked
+from fast_node.policies.attention import read_sidecar
+from fast_node.policies.load import OURS, load_policy
+from fast_node.policies.mlp import BASELINES
+from fast_node.training.rollout import Fleet
+from schemas.runtime.process import ConfigError
+from schemas.wire.messages import MetaAction
+from sim_node.engine.batched import Batched
+from sim_node.metrics import EpisodeResult
+from sim_node.scenarios import Scenario
+
+
+@dataclass(frozen=True)
+class Agent:
+    """A policy and the way in which it drives."""
+
+    about: str
+    policy: str
+    """As `load_policy` takes it; "idm": highway-env's own driver; "brake": the emergency brake, held."""
+    masked: bool = False
+    by_the_second: bool = False
+    """Decides once a second and holds, instead of at each tick."""
+
+
+AGENTS: dict[str, Agent] = {
+    "ours": Agent("the policy behind the mask", OURS, masked=True),
+    "ours-unmasked": Agent("the policy alone", OURS),
+    "rule": Agent("a few rules behind the mask", "rule", masked=True),
+    "idm": Agent("highway-env's IDM and MOBIL in the ego's place", "idm"),
+    "cruise": Agent("never acts", "constant:cruise"),
+    "faster": Agent("always speeds up", "constant:faster"),
+    "slower": Agent("always slows down", "constant:slower"),
+    "left": Agent("always wants left", "constant:left"),
+    "right": Agent("always wants right", "constant:right"),
+    "brake": Agent("stops at once", "brake"),
+    "random": Agent("draws an action every second", "random:0"),
+    "random-masked": Agent("the same, behind the mask", "random:0", masked=True),
+    **{
+        f"{name}-bare": Agent(f"{name.upper()} as published, one decision a second", f"{name}-bare", by_the_second=True)
+        for name in BASELINES
+    },
+    **{
+        f"{name}-masked": Agent(f"{name.upper()} with our directives, behind our mask", f"{name}-masked", masked=True)
+        for name in BASELINES
+    },
+}
+"""What drives, by name."""
+USE_OURS = ("ours-unmasked", "rule", "random-masked")
+"""Those that a checkpoint of ours changes, too: it brings the mask's preset."""
+LANGUAGE: dict[str, str] = {
+    "dilu-paused": "a language model alone, one decision a second (DiLu's method); the world waits while it thinks",
+    "dilu-running": "the same, and the world goes on while it thinks",
+}
+"""Drivers that take up to a second or more of real time per decision: by name only, never with all the others."""
+
+
+def trained_as(checkpoint: Path) -> str:
+    """The agent whose policy lies in `checkpoint`: "ours", or a baseline such as "ppo-bare".
+
+    Raises `ConfigError` for a file that is neither.
+    """
+    sidecar = read_sidecar(checkpoint)
+    algorithm = sidecar.get("algorithm", "ours")
+    agent = "ours" if algorithm == "ours" else f"{algorithm}-{sidecar.get('variant')}"
+    if agent not in AGENTS:
+        raise ConfigError(f"{checkpoint.name} holds {agent!r}, which this code does not know: train anew")
+    return agent
+
+
+def drive(
+    agent: str | Agent,
+    scenario: Scenario,
+    seeds: Sequence[int],
+    *,
+    checkpoint: Path | None = None,
+    directive: Directive = "hurry",
+    wish_mps: float | None = None,
+) -> list[EpisodeResult]:
+    """One episode per seed, with that seed's traffic and a directive from the start (see `Directive`), and with
+    another wished speed than that where one is given. `checkpoint` takes the place of the shipped policy of the agent
+    that it was trained as; ours also brings the mask's preset, for whoever drives behind the mask.
+
+    Raises `ConfigError` for an unusable policy or checkpoint and ValueError for an unknown agent.
+    """
+    if directive not in DIRECTIVES:
+        raise ValueError(f"directive {directive!r} is not one of: {', '.join(DIRECTIVES)}")
+    if isinstance(agent, str) and agent not in AGENTS:
+        raise ValueError(f"agent {agent!r} is not one of: {', '.join([*AGENTS, *LANGUAGE])}")
+    name, who = (agent, AGENTS[agent]) if isinstance(agent, str) else ("", agent)
+    own = trained_as(checkpoint) if checkpoint else None
+    replaced = checkpoint if own == name or (own == "ours" and who.policy == OURS) else None
+    policy = load_policy("constant:cruise" if who.policy in ("idm", "brake") else str(replaced or who.policy))
+    preset = load_policy(str(checkpoint)).mask_preset if own == "ours" else policy.mask_preset
+    world = Batched(scenario, len(seeds), 0, ego="idm" if who.policy == "idm" else "executor")
+    fleet = Fleet(world, task_of(scenario, preset), masked=who.masked)
+    for i, seed in enumerate(seeds):
+        load(fleet, scenario, i, seed, directive)
+    if wish_mps is not None:
+        fleet.v_des[:] = wish_mps
+    if who.policy == "brake":
+        brake = np.full(len(seeds), int(MetaAction.EMERGENCY_BRAKE))
+        step: Step = unasked(fleet, lambda tick: brake)
+    else:
+        step = (by_the_second if who.by_the_second else by_the_tick)(fleet, policy.logits)
+    return record(fleet, scenario, step)
+
+
+def behind_the_mask(spec: str) -> Agent:
+    """Any policy that `load_policy` finds as an agent."""
+    return Agent("a policy behind the mask", spec, masked=True)

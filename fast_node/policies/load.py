@@ -1,0 +1,62 @@
+"""Where every policy is found: by a built-in name, a checkpoint's path, or `package.module:factory`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from fast_node.mask import PRESETS
+from fast_node.policies.attention import SHIPPED, load_attention, read_sidecar
+from fast_node.policies.fixed import constant_of, random_of
+from fast_node.policies.mlp import BASELINES, VARIANTS, load_mlp, shipped
+from fast_node.policies.outsider import load_outsider
+from fast_node.policies.policy import NamedPolicy
+from fast_node.policies.rule import RulePolicy
+from schemas.runtime.process import ConfigError
+
+OURS = "fastslow"
+
+
+def load_policy(spec: str = OURS) -> NamedPolicy:
+    """The policy that `spec` names. Raises `ConfigError` that names the fix.
+
+    `spec`: a name of `BUILT_IN`, of which two take more ("constant:faster,left", "random:7"); the path of a checkpoint
+    that was trained here, ours or a baseline's; or "package.module:factory", a callable that returns a `Policy`.
+    """
+    name, colon, more = spec.partition(":")
+    if name in BUILT_IN and (name in TAKE_MORE or not colon):
+        found = BUILT_IN[name](more)
+    elif spec.endswith(".safetensors") or "/" in spec:
+        found = _checkpoint(Path(spec))
+    elif name and more and name not in BUILT_IN:
+        found = load_outsider(spec)
+    else:
+        names = ", ".join(TAKE_MORE.get(name, name) for name in BUILT_IN)
+        raise ConfigError(
+            f"no policy {spec!r}: choose from {names}; or give a checkpoint's path (FILE.safetensors) or module:factory"
+        )
+    if found.mask_preset not in PRESETS:
+        raise ConfigError(f"policy {spec} has mask_preset {found.mask_preset!r}: choose from {', '.join(PRESETS)}")
+    return replace(found, name=spec)
+
+
+def _checkpoint(path: Path, _: str = "") -> NamedPolicy:
+    if read_sidecar(path).get("algorithm", "ours") in BASELINES:
+        baseline = load_mlp(path)
+        return NamedPolicy(path.name, baseline, sidecar=baseline.sidecar)
+    ours = load_attention(path)
+    return NamedPolicy(path.name, ours, str(ours.sidecar["mask_preset"]), sidecar=ours.sidecar)
+
+
+BUILT_IN: dict[str, Callable[[str], NamedPolicy]] = {
+    OURS: partial(_checkpoint, SHIPPED),
+    "rule": lambda _: NamedPolicy("rule", RulePolicy()),
+    "constant": lambda words: NamedPolicy("constant", constant_of(words)),
+    "random": lambda seed: NamedPolicy("random", random_of(seed), stateless=False),
+    **{f"{a}-{v}": partial(_checkpoint, shipped(a, v)) for a in BASELINES for v in VARIANTS},
+}
+"""What every installation has: what comes after the name's colon, to the policy."""
+TAKE_MORE = {"constant": "constant:ACTION[,ACTION...]", "random": "random:SEED"}
+"""The names that take more after a colon, as messages show them."""

@@ -1,0 +1,130 @@
+"""A stranger's policy, `package.module:factory`: found, tried, checked at each answer, and asked under a deadline."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import os
+import queue
+import sys
+import threading
+import traceback
+from concurrent.futures import Future
+from typing import Any
+
+import numpy as np
+
+from fast_node.policies.policy import NamedPolicy, Policy
+from schemas.driving.features import Array, features
+from schemas.runtime.process import ConfigError
+from schemas.wire.messages import POLICY_ACTIONS
+
+
+def load_outsider(spec: str) -> NamedPolicy:
+    """The policy that the factory of `package.module:factory` returns. The current folder is importable.
+
+    The policy may have an attribute `mask_preset` (default "sim"). It is asked a few times before it drives, so that
+    what is wrong is told now and the first inference, often a slow one, is over. Raises `ConfigError`, one line.
+    """
+    module, _, factory = spec.partition(":")
+    if (here := os.getcwd()) not in sys.path:
+        sys.path.insert(0, here)
+    try:
+        found = getattr(importlib.import_module(module), factory)
+    except AttributeError:
+        raise ConfigError(f"policy {spec}: module {module} has no {factory!r}: name a callable of it") from None
+    except (Exception, SystemExit) as error:
+        raise ConfigError(
+            f"policy {spec}: cannot import {module} from {here}: {_line(error)}; mend it, or start where it lies"
+        ) from None
+    if not callable(found):
+        raise ConfigError(f"policy {spec}: {factory} is no callable: give one that returns an object with logits(x)")
+    try:
+        policy = found()
+    except (Exception, SystemExit) as error:
+        raise ConfigError(f"policy {spec}: {factory}() raised {_line(error)}; mend it") from None
+    if not callable(getattr(policy, "logits", None)):
+        raise ConfigError(
+            f"policy {spec}: {factory}() returned {type(policy).__name__}, which has no method logits(x): return an "
+            "object that has"
+        )
+    checked = CheckedPolicy(spec, policy)
+    one = _probe()
+    for x in (one, np.stack([one, one]), one):
+        checked.logits(x)
+    return NamedPolicy(spec, checked, mask_preset=str(getattr(policy, "mask_preset", "sim")), stateless=False)
+
+
+class CheckedPolicy:
+    """A stranger's policy whose every answer is checked: five finite preferences for each input."""
+
+    def __init__(self, name: str, policy: Policy) -> None:
+        self._name, self._policy = name, policy
+
+    def logits(self, x: Array) -> Array:
+        """See `Policy.logits`. Raises `ConfigError`, one line, where the stranger raises or the answer is none."""
+        try:
+            answer = np.asarray(self._policy.logits(x.copy()), np.float32)  # a copy: what is ours stays as it is
+        except (Exception, SystemExit) as error:
+            raise ConfigError(f"policy {self._name}: logits(x) raised {_line(error)}; mend it") from None
+        wanted = (*x.shape[:-2], POLICY_ACTIONS)
+        if answer.shape != wanted:
+            raise ConfigError(
+                f"policy {self._name}: logits(x) returned shape {answer.shape} for x of shape {x.shape}: return "
+                f"{wanted}, five preferences for each input"
+            )
+        if not np.isfinite(answer).all():
+            raise ConfigError(f"policy {self._name}: logits(x) returned a number that is not finite: mend it")
+        return answer
+
+
+class DeadlinePolicy:
+    """Asks a policy on a thread of its own, and does not wait longer than `budget_s` for the answer."""
+
+    def __init__(self, policy: Policy, budget_s: float) -> None:
+        self._policy, self._budget_s = policy, budget_s
+        self._questions: queue.SimpleQueue[tuple[Array, Future[Array]]] = queue.SimpleQueue()
+        self._last: Future[Array] | None = None
+        self._thread: threading.Thread | None = None
+
+    def logits(self, x: Array) -> Array:
+        """See `Policy.logits`. Raises TimeoutError where no answer comes in time, or the last question is still open:
+        a late answer is dropped."""
+        if self._last is not None and not self._last.done():
+            raise TimeoutError("the policy is still busy with an earlier tick")
+        if self._thread is None:  # now, and not before, for threads inherit the scheduling of who starts them
+            self._thread = threading.Thread(target=self._work, name="policy", daemon=True)
+            self._thread.start()
+        self._last = Future()
+        self._questions.put((x, self._last))
+        try:
+            return self._last.result(self._budget_s)
+        except TimeoutError:
+            raise TimeoutError(f"the policy did not answer within {1000 * self._budget_s:g} ms") from None
+
+    def _work(self) -> None:
+        while True:
+            x, answer = self._questions.get()
+            try:
+                answer.set_result(self._policy.logits(x))
+            except BaseException as error:  # told to who waits; this thread goes on
+                answer.set_exception(error if isinstance(error, Exception) else RuntimeError(repr(error)))
+
+
+def _probe() -> Array:
+    """The policy input of a plain scene: a slower car ahead, one beside, one behind; no lane is wished."""
+    rows: list[tuple[Any, ...]] = [
+        (0, 0.0, 4.0, 25.0, 0.0, 0.0, 5.0, 2.0, 1),
+        (1, 40.0, 4.0, 20.0, 0.0, 0.0, 5.0, 2.0, 1),
+        (2, 3.0, 0.0, 25.0, 0.0, 0.0, 5.0, 2.0, 0),
+        (3, -30.0, 4.0, 26.0, 0.0, 0.0, 5.0, 2.0, 1),
+    ]
+    return features(rows, math.nan, 30.0, 1.5, 25.0, False, 1e4)
+
+
+def _line(error: BaseException) -> str:
+    """An exception in one line: type, message, and where in the stranger's code it was raised."""
+    said = f"{type(error).__name__}: {' '.join(str(error).split())}"[:160].rstrip(": ")
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith("<frozen")]
+    last = frames[-1] if len(frames) > 1 else None
+    return said if last is None else f"{said} ({os.path.basename(last.filename)}, line {last.lineno})"
