@@ -30,15 +30,16 @@ def load_outsider(spec: str) -> NamedPolicy:
     if (here := os.getcwd()) not in sys.path:
         sys.path.insert(0, here)
     try:
-        found = getattr(importlib.import_module(module), factory)
-    except AttributeError:
-        raise ConfigError(f"policy {spec}: module {module} has no {factory!r}: name a callable of it") from None
+        loaded = importlib.import_module(module)
     except (Exception, SystemExit) as error:
         raise ConfigError(
             f"policy {spec}: cannot import {module} from {here}: {_line(error)}; mend it, or start where it lies"
         ) from None
+    found = getattr(loaded, factory, None)
     if not callable(found):
-        raise ConfigError(f"policy {spec}: {factory} is no callable: give one that returns an object with logits(x)")
+        raise ConfigError(
+            f"policy {spec}: {module} has no callable {factory!r}: name one that returns an object with logits(x)"
+        )
     try:
         policy = found()
     except (Exception, SystemExit) as error:
@@ -125,6 +126,6 @@ def _probe() -> Array:
 def _line(error: BaseException) -> str:
     """An exception in one line: type, message, and where in the stranger's code it was raised."""
     said = f"{type(error).__name__}: {' '.join(str(error).split())}"[:160].rstrip(": ")
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith("<frozen")]
-    last = frames[-1] if len(frames) > 1 else None
-    return said if last is None else f"{said} ({os.path.basename(last.filename)}, line {last.lineno})"
+    ours = (__file__, importlib.__file__)
+    theirs = [f for f in traceback.extract_tb(error.__traceback__) if f.filename not in ours and f.filename[0] != "<"]
+    return f"{said} ({os.path.basename(theirs[-1].filename)}, line {theirs[-1].lineno})" if theirs else said

@@ -1,0 +1,101 @@
+"""Policies drive the real processes: an outsider's from the current folder, one that fails, and a baseline."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+NETWORK = """
+import torch
+from torch import nn
+
+
+class Mine(nn.Module):
+    def __init__(self):
+        super().__init__()
+        torch.manual_seed(0)
+        self.net = nn.Sequential(nn.Flatten(-2), nn.Linear(15 * 16, 64), nn.Tanh(), nn.Linear(64, 5))
+
+    def logits(self, x):
+        with torch.no_grad():
+            return self.net(torch.from_numpy(x)).numpy()
+
+
+load = Mine
+"""
+FAILING = """
+class Fails:
+    calls = 0
+
+    def logits(self, x):
+        self.calls += 1
+        return x[..., 0, :5] if self.calls < 10 else None
+
+load = Fails
+"""
+STUCK = """
+import threading
+
+class Stuck:
+    calls = 0
+
+    def logits(self, x):
+        self.calls += 1
+        if self.calls > 10:
+            threading.Event().wait()
+        return x[..., 0, :5]
+
+load = Stuck
+"""
+
+
+def live(folder: Path, spec: str) -> tuple[int, dict[str, Any], set[str], str]:
+    """Exit code, summary, who decided as the live lines have it, and stderr of a short run without the slow side."""
+    env = {**os.environ, "PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(folder)}
+    run = [sys.executable, "-m", "deploy", "run", "--port", "0", "--json", "--duration", "6"]
+    alone = ["--without", "slow", "--without", "llm"]
+    told = subprocess.run(
+        [*run, *alone, "--policy", spec], cwd=folder, env=env, text=True, capture_output=True, timeout=120
+    )
+    return told.returncode, json.loads(told.stdout), set(re.findall(r"\| by (\w+)", told.stderr)), told.stderr
+
+
+@pytest.mark.timeout(150)
+def test_a_strangers_torch_network_drives_the_live_car(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    (tmp_path / "mine.py").write_text(NETWORK)
+    code, summary, sources, _ = live(tmp_path, "mine:load")
+    assert (code, summary["collisions"]) == (0, 0)
+    assert "policy" in sources
+
+
+@pytest.mark.timeout(150)
+@pytest.mark.parametrize("source", [FAILING, STUCK], ids=["failing", "stuck"])
+def test_where_a_stranger_fails_or_hangs_the_live_car_drives_on_by_the_rule(tmp_path: Path, source: str) -> None:
+    (tmp_path / "theirs.py").write_text(source)
+    code, summary, sources, _ = live(tmp_path, "theirs:load")
+    assert (code, summary["collisions"], summary["restarts"]) == (0, 0, 0)
+    assert "fallback" in sources
+
+
+@pytest.mark.timeout(150)
+def test_a_baseline_drives_the_live_car(tmp_path: Path) -> None:
+    code, summary, sources, _ = live(tmp_path, "ppo-masked")
+    assert (code, summary["collisions"]) == (0, 0)
+    assert "policy" in sources
+
+
+@pytest.mark.timeout(150)
+def test_a_policy_that_there_is_not_ends_the_run_with_one_line_and_exit_code_78(tmp_path: Path) -> None:
+    code, _, _, said = live(tmp_path, "nowhere:load")
+    assert code == 78
+    assert "fast cannot start: policy nowhere:load: cannot import nowhere" in said
+    assert "Traceback" not in said
