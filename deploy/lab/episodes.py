@@ -49,11 +49,12 @@ def directed(
     directive: Directive, scenario: Scenario, rng: np.random.Generator, rows: Any, home: int
 ) -> tuple[int, int, float, float]:
     """A directive for rows (V, 9) and a home lane, drawn as `draw_wish` draws and of the same form."""
-    told = draw_wish(rng, scenario, rows, home, overtake_share=1.0)
+    lane, pass_id, speed_mps, headway_s = draw_wish(rng, scenario, rows, home, overtake_share=1.0)
     if directive == "random":
-        return told
-    lane = ANY_LANE if directive == "hurry" and scenario.wish_lanes else told[0]
-    return lane, told[1], scenario.ego.speed_ceiling_mps, ASSERTIVE_HEADWAY_S
+        return lane, pass_id, speed_mps, headway_s
+    if directive == "hurry" and scenario.wish_lanes:
+        lane = ANY_LANE
+    return lane, pass_id, scenario.ego.speed_ceiling_mps, ASSERTIVE_HEADWAY_S
 
 
 def load(fleet: Fleet, scenario: Scenario, scene: int, seed: int, directive: Directive) -> None:
