@@ -13,24 +13,6 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).parents[3]
-NETWORK = """
-import torch
-from torch import nn
-
-
-class Mine(nn.Module):
-    def __init__(self):
-        super().__init__()
-        torch.manual_seed(0)
-        self.net = nn.Sequential(nn.Flatten(-2), nn.Linear(15 * 16, 64), nn.Tanh(), nn.Linear(64, 5))
-
-    def logits(self, x):
-        with torch.no_grad():
-            return self.net(torch.from_numpy(x)).numpy()
-
-
-load = Mine
-"""
 FAILING = """
 class Fails:
     calls = 0
@@ -69,9 +51,10 @@ def live(folder: Path, spec: str) -> tuple[int, dict[str, Any], set[str], str]:
 
 
 @pytest.mark.timeout(150)
-def test_a_strangers_torch_network_drives_the_live_car(tmp_path: Path) -> None:
+def test_the_torch_network_of_contributing_drives_the_live_car_from_a_folder_of_its_own(tmp_path: Path) -> None:
     pytest.importorskip("torch")
-    (tmp_path / "mine.py").write_text(NETWORK)
+    recipe = (ROOT / "CONTRIBUTING.md").read_text("utf-8").partition("## A policy of your own")[2]
+    (tmp_path / "mine.py").write_text(recipe.partition("```python\n")[2].partition("```")[0])
     code, summary, sources, _ = live(tmp_path, "mine:load")
     assert (code, summary["collisions"]) == (0, 0)
     assert "policy" in sources
