@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from fast_node.policies.mlp import shipped
+
 ROOT = Path(__file__).parents[3]
 FAILING = """
 class Fails:
@@ -39,13 +41,13 @@ load = Stuck
 """
 
 
-def live(folder: Path, spec: str) -> tuple[int, dict[str, Any], set[str], str]:
+def live(folder: Path, spec: str, option: str = "--policy") -> tuple[int, dict[str, Any], set[str], str]:
     """Exit code, summary, who decided as the live lines have it, and stderr of a short run without the slow side."""
     env = {**os.environ, "PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(folder)}
     run = [sys.executable, "-m", "deploy", "run", "--port", "0", "--json", "--duration", "6"]
     alone = ["--without", "slow", "--without", "llm"]
     told = subprocess.run(
-        [*run, *alone, "--policy", spec], cwd=folder, env=env, text=True, capture_output=True, timeout=120
+        [*run, *alone, option, spec], cwd=folder, env=env, text=True, capture_output=True, timeout=120
     )
     return told.returncode, json.loads(told.stdout), set(re.findall(r"\| by (\w+)", told.stderr)), told.stderr
 
@@ -70,8 +72,8 @@ def test_where_a_stranger_fails_or_hangs_the_live_car_drives_on_by_the_rule(tmp_
 
 
 @pytest.mark.timeout(150)
-def test_a_baseline_drives_the_live_car(tmp_path: Path) -> None:
-    code, summary, sources, _ = live(tmp_path, "ppo-masked")
+def test_a_baselines_checkpoint_drives_the_live_car(tmp_path: Path) -> None:
+    code, summary, sources, _ = live(tmp_path, str(shipped("ppo", "masked")), "--checkpoint")
     assert (code, summary["collisions"]) == (0, 0)
     assert "policy" in sources
 
