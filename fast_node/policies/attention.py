@@ -65,8 +65,8 @@ class AttentionPolicy:
 
     def logits(self, x: Array) -> Array:
         """(..., N, F) -> (..., 5) logits."""
-        if x.ndim == 2:  # one scene, as the node asks: the rows of absent vehicles, all at the end, change nothing
-            x = x[: np.count_nonzero(x[:, PRESENCE])]
+        if x.ndim == 2 and (present := np.flatnonzero(x[:, PRESENCE])).size:
+            x = x[: present[-1] + 1]  # one scene, as the node asks: absent vehicles at the end only cost time
         return self._forward(x)[0]
 
     def attention(self, x: Array) -> Array:
