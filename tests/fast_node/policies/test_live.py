@@ -14,6 +14,7 @@ import pytest
 
 from fast_node.policies.mlp import shipped
 
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 ROOT = Path(__file__).parents[3]
 FAILING = """
 class Fails:
