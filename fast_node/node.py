@@ -7,12 +7,16 @@ import math
 from fast_node.choice import HELD, SOURCES, choose, narrow
 from fast_node.config import FastConfig
 from fast_node.coordination import Coordination
-from fast_node.mask import OPEN, PRESETS, RULES, Preset, close_actions, lane_table
+from fast_node.mask import OPEN, PRESETS, Preset, close_actions
 from fast_node.policies.policy import Policy
 from schemas.driving.features import Array, features
-from schemas.driving.intent import ANY_LANE, Wish
+from schemas.driving.intent import ANY_LANE, Intent
+from schemas.driving.road import LANE_END, LANE_WAY, LANE_Y, X, lane_table
 from schemas.wire.codec import rows_of
-from schemas.wire.messages import POLICY_ACTIONS, Action, Closure, Directive, Event, MetaAction, Observation
+from schemas.wire.messages import POLICY_ACTIONS, Action, Closure, Directive, Event, MetaAction, Observation, Reason
+
+_REASONS = tuple(Reason)
+"""By the mask's number less one."""
 
 
 class FastNode:
@@ -22,7 +26,7 @@ class FastNode:
         """`preset`: of the mask; the one that the policy was trained behind."""
         self._config, self._policy, self._preset = config, policy, preset
         self._coordination = Coordination(config.default_headway_s)
-        self._wish: Wish | None = None
+        self._intent: Intent | None = None
         self._decided_tick = -(10**9)
         self._epoch = -1
         self.counts = {"ticks": 0, "masked": 0, "fallback": 0, "braked": 0}
@@ -30,8 +34,8 @@ class FastNode:
     def step(self, observation: Observation, directive: Directive | None, now_ns: int) -> tuple[Action, list[Event]]:
         """The action that answers `observation` (compute_ns is left to the shell), and what became of the directive.
 
-        The policy decides once per `decision_ticks`, and at once when the wish changes; in between the set-points hold
-        unless the mask closes that. Whatever fails, even the mask, an action comes out: then the ego slows down.
+        The policy decides once per `decision_ticks`, and at once when the intent changes; in between the set-points
+        hold unless the mask closes that. Whatever fails, even the mask, an action comes out: then the ego slows down.
         """
         self.counts["ticks"] += 1
         try:
@@ -66,74 +70,81 @@ class FastNode:
             self._preset,
         )
         closed = tuple(
-            Closure(action=a, rule=RULES[rule[a]], vehicle=vehicle[a]) for a in range(POLICY_ACTIONS) if rule[a] != OPEN
+            Closure(action=a, rule=_REASONS[rule[a] - 1], vehicle=vehicle[a])
+            for a in range(POLICY_ACTIONS)
+            if rule[a] != OPEN
         )
-        wish, events = self._coordination.wish(observation, table, directive, now_ns)
-        if observation.epoch != self._epoch or wish != self._wish:
+        intent, events = self._coordination.intent(observation, table, lanes, directive, now_ns)
+        if observation.epoch != self._epoch or intent != self._intent:
             self._decided_tick = -(10**9)
-        self._epoch, self._wish = observation.epoch, wish
+        self._epoch, self._intent = observation.epoch, intent
         source: str
         try:
-            logits = self._logits(observation, table, wish).tolist()
+            logits = self._logits(observation, table, lanes, intent).tolist()
             if not math.isfinite(sum(logits)):
                 raise FloatingPointError("non-finite logits")
-            wished = rule.copy()
+            narrowed = rule.copy()
             narrow(
-                wished,
+                narrowed,
                 table,
                 near,
                 lanes,
                 observation.target_speed_mps,
                 observation.target_lane,
                 observation.previous_lane,
-                wish.lane,
-                wish.speed_mps,
-                wish.headway_s,
+                intent.lane,
+                intent.speed_mps,
+                intent.headway_s,
             )
             holding = observation.tick - self._decided_tick < self._config.decision_ticks
-            meta, by = choose(logits, wished, holding)
+            meta, by = choose(logits, narrowed, holding)
             if by != HELD:
                 self._decided_tick = observation.tick
             source, why = SOURCES[by], ""
         except Exception as error:  # whatever the policy does, the car gets an answer
-            meta, source, why = fallback(rule, observation), "fallback", f"{type(error).__name__}: {error}"[:120]
+            meta, source, why = (
+                fallback(rule, lanes, observation.target_lane),
+                "fallback",
+                f"{type(error).__name__}: {error}"[:120],
+            )
             self.counts["fallback"] += 1
         self.counts["masked"] += source == "masked"
         self.counts["braked"] += meta == MetaAction.EMERGENCY_BRAKE
         if not why and meta == MetaAction.EMERGENCY_BRAKE:
             why = "; ".join(sorted({c.rule for c in closed}))
-        events += self._coordination.verdict(observation, wish, closed, meta)
+        events += self._coordination.report(observation, intent, closed, meta)
         return Action(
             epoch=observation.epoch,
             stamp_ns=now_ns,
             answers_tick=observation.tick,
             meta_action=int(meta),
             source=source,  # type: ignore[arg-type]
-            speed_goal_mps=wish.speed_mps,
+            speed_goal_mps=intent.speed_mps,
             directive_id=directive.id if directive else None,
             budget_ns=round(self._config.budget_ms * 1e6),
             closed=closed,
             why=why,
         ), events
 
-    def _logits(self, observation: Observation, table: list[list[float]], wish: Wish) -> Array:
-        lanes, aim = observation.lanes, observation.target_lane
+    def _logits(
+        self, observation: Observation, table: list[list[float]], lanes: list[tuple[float, ...]], intent: Intent
+    ) -> Array:
         return self._policy.logits(
             features(
                 table,
-                math.nan if wish.lane == ANY_LANE else lanes[wish.lane].y_m,
-                wish.speed_mps,
-                wish.headway_s,
+                math.nan if intent.lane == ANY_LANE else lanes[intent.lane][LANE_Y],
+                intent.speed_mps,
+                intent.headway_s,
                 observation.target_speed_mps,
                 observation.previous_lane >= 0,
-                lanes[aim].end_m - table[0][1],
+                lanes[observation.target_lane][LANE_END] - table[0][X],
             )
         )
 
 
-def fallback(rule: list[int], observation: Observation) -> int:
+def fallback(rule: list[int], lanes: list[tuple[float, ...]], target_lane: int) -> int:
     """The rule that drives when the policy cannot: home from a borrowed lane, slower if need be, else hold."""
-    if observation.lanes[observation.target_lane].direction < 0 and rule[MetaAction.RIGHT] == OPEN:
+    if lanes[target_lane][LANE_WAY] < 0 and rule[MetaAction.RIGHT] == OPEN:
         return MetaAction.RIGHT
     for action in (MetaAction.CRUISE, MetaAction.SLOW_DOWN, MetaAction.SPEED_UP, MetaAction.RIGHT, MetaAction.LEFT):
         if rule[action] == OPEN:

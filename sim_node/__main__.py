@@ -169,6 +169,7 @@ def main() -> None:
     warm_up(config)
     node = SimNode(config)
     node.reset(time.monotonic_ns() // 1_000_000)  # grows at every restart, so old actions can never be taken for new
+    node.announce("at the simulator's start", time.monotonic_ns())
     scheduling = claim(config.realtime)
     poll = may_poll(scheduling)
     with open_bus(config.bus) as bus:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.driving.measures import TTC_CAP_S
-from schemas.wire.messages import Action, Event, MetaAction, Observation
+from schemas.wire.messages import Action, Event, EventKind, MetaAction, Observation
 from sim_node.config import SimConfig
 from sim_node.env import ScenarioEnv
 from sim_node.metrics import Recorder
@@ -87,6 +87,13 @@ class SimNode:
         self._recorder.restart(_YES)
         self._rows = self._env.rows()
 
+    def announce(self, why: str, now_ns: int) -> None:
+        """Note the event that this world has begun, and why."""
+        detail = f"new world {why}, seed {self._config.seed + self.metrics.episodes - 1}"
+        self._events.append(
+            Event(epoch=self.epoch, stamp_ns=now_ns, kind=EventKind.WORLD, node="sim", tick=0, detail=detail)
+        )
+
     def step(self, action: Action | None, now_ns: int) -> Observation:
         """Advance one tick and observe."""
         self.advance(action, now_ns)
@@ -98,11 +105,7 @@ class SimNode:
         if self.over:
             why = self.over
             self.reset(self.epoch + 1)
-            seed = self._config.seed + self.metrics.episodes - 1
-            detail = f"new world after {why}, seed {seed}"
-            self._events.append(
-                Event(epoch=self.epoch, stamp_ns=now_ns, kind="world", node="sim", tick=0, rule=why, detail=detail)
-            )
+            self.announce(f"after {why}", now_ns)
             return
         ego = self._env.ego
         ego.speed_goal = math.nan

@@ -17,7 +17,7 @@ from schemas.driving.road import HZ
 from schemas.runtime.bus import LocalBus
 from schemas.runtime.clock import NS
 from schemas.wire import topics
-from schemas.wire.messages import Directive, Event, Observation
+from schemas.wire.messages import Directive, Event, EventKind, Observation
 from sim_node.config import SimConfig
 from sim_node.node import SimNode
 
@@ -111,9 +111,9 @@ def draw(episode: Episode, told_s: float, path: Path) -> None:
         lane.step(time_s, episode.lanes, color="tab:green", where="post")
         marks = [(told_s, "told to overtake", "black")]
         for event in episode.events:
-            if event.kind == "overridden" and event.duration_s > 0:
+            if event.kind == EventKind.CARRIED_OUT:
                 marks.append((event.tick / HZ, f"delayed {event.duration_s:.0f} s: {event.rule}", "tab:red"))
-            elif event.kind == "fulfilled":
+            elif event.kind == EventKind.FULFILLED:
                 marks.append((event.tick / HZ, "fulfilled", "tab:green"))
         for row, (at_s, text, colour) in enumerate(marks):
             speed.text(at_s + 0.2, 0.4 + 0.9 * row, text, color=colour, fontsize="small")

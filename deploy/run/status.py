@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from schemas.runtime.clock import NS
-from schemas.wire.messages import Action, Directive, Event, Observation, Reply, Status
+from schemas.wire.messages import Action, Directive, Event, EventKind, Observation, Reply, Status
 
 _OVER = ("fulfilled", "expired", "superseded", "cancelled", "failed")
 _BY_REPLY = (*_OVER, "issued")
@@ -37,11 +39,12 @@ class Live:
         self._over(reply.outcome, reply.directive_id)
         said = f': "{reply.say}"' if reply.say else ""
         why = f" ({reply.why})" if reply.why else ""
-        return f'  {reply.outcome:<10} "{_short(reply.text)}"{said}{why}'
+        return f'  {reply.outcome:<11} "{_short(reply.text)}"{said}{why}'
 
     def event(self, event: Event) -> str | None:
         """The line for an event; None for one that a reply tells as well."""
         self._over(event.kind, event.directive_id)
+        kind = event.kind.replace("_", " ")
         if event.kind in _BY_REPLY and event.command_id is not None:
             return None
         parts = [f"tick {event.tick}"]
@@ -52,7 +55,7 @@ class Live:
         if event.duration_s:
             parts.append(f"for {event.duration_s:.1f} s")
         detail = f" — {event.detail}" if event.detail else ""
-        return f"  {event.kind:<10} {', '.join(parts)}{detail}"
+        return f"  {kind:<11} {', '.join(parts)}{detail}"
 
     def _over(self, what: str, directive_id: int | None) -> None:
         if what in _OVER and self._directive is not None and self._directive.id == directive_id:
@@ -88,6 +91,15 @@ class Live:
         if directive.target_speed_mps is not None:
             wishes.append(f"{directive.target_speed_mps:.0f} m/s")
         return f"{' '.join(wishes)}, {left_s:.0f} s left"
+
+
+def happened(directives: Mapping[str, int], delayed_by: Mapping[str, int]) -> str:
+    """What became of a run's directives, from the summary's counts: "2 delayed (oncoming traffic 2), ..."."""
+    by = f" ({', '.join(f'{rule} {count}' for rule, count in delayed_by.items())})" if delayed_by else ""
+    return ", ".join(
+        f"{count} {kind.replace('_', ' ')}{by if kind == EventKind.DELAYED else ''}"
+        for kind, count in directives.items()
+    )
 
 
 def _short(text: str, most: int = 70) -> str:

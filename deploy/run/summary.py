@@ -1,14 +1,18 @@
-"""What a run comes to: counts from the simulator's heartbeats, commands and their outcomes from the replies."""
+"""What a run comes to: counts from the simulator's heartbeats, commands and their outcomes from the replies, what
+became of their directives from the events."""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict, dataclass
 
 from schemas.runtime.clock import NS
-from schemas.wire.messages import Command, Event, Observation, Reply, Status
+from schemas.wire.messages import Command, Event, EventKind, Observation, Reply, Status
 
-SCHEMA = "fastslow.run/1"
+SCHEMA = "fastslow.run/2"
 _COUNTED = ("ticks", "answered", "missed", "collisions", "failsafes", "episodes", "skipped")
+_HAPPENS = (EventKind.DELAYED, EventKind.OVERRIDDEN, EventKind.CARRIED_OUT, EventKind.FULFILLED, EventKind.EXPIRED)
+"""To a directive; each event is counted."""
 KEPT = 500
 """Events and lane changes in the summary, the first ones."""
 
@@ -35,7 +39,8 @@ class Summary:
         self._figures: dict[int, dict[str, float]] = {}
         """The newest figures of each simulator process: a restarted one counts from 0 again."""
         self._said: dict[int, Said] = {}
-        self._vetoes = 0
+        self._happened: Counter[str] = Counter()
+        self._delayed_by: Counter[str] = Counter()
         self._events: list[dict[str, object]] = []
         self._lanes: list[dict[str, object]] = []
 
@@ -61,13 +66,15 @@ class Summary:
             said.fulfilled_s = at
 
     def event(self, event: Event) -> None:
-        self._vetoes += event.kind == "vetoed"
+        self._happened[event.kind] += 1
+        if event.kind == EventKind.DELAYED:
+            self._delayed_by[event.rule or ""] += 1
         if len(self._events) < KEPT:
             self._events.append(
                 {
                     "at_s": self._at(event.stamp_ns),
                     "kind": event.kind,
-                    "rule": event.rule,
+                    "rule": event.rule or "",
                     "vehicle": event.vehicle,
                     "duration_s": round(event.duration_s, 3),
                     "detail": event.detail,
@@ -107,7 +114,8 @@ class Summary:
             "restarts_of": {name: count for name, count in restarts.items() if count},
             "latency_us": {"p50": newest.get("rtt_p50_us"), "p99": newest.get("rtt_p99_us")},
             "commands": [asdict(said) for said in self._said.values()],
-            "vetoes": self._vetoes,
+            "directives": {kind.value: self._happened[kind] for kind in _HAPPENS},
+            "delayed_by": dict(self._delayed_by.most_common()),
             "events": self._events,
             "lanes": self._lanes,
         }

@@ -23,7 +23,7 @@ from deploy.run.processes import (
     process_table,
     router_endpoints,
 )
-from deploy.run.status import Live
+from deploy.run.status import Live, happened
 from deploy.run.summary import Summary
 from deploy.run.supervisor import RestartPolicy, Supervisor, catch_signals
 from schemas.runtime.bus import Bus, BusConfig, BusError, open_bus
@@ -203,11 +203,14 @@ class _Run:
         if self._options.as_json:
             print(json.dumps(summary), flush=True)
             return
-        latency = summary["latency_us"]
+        latency, directives, delayed_by = summary["latency_us"], summary["directives"], summary["delayed_by"]
         assert isinstance(latency, dict)
+        assert isinstance(directives, dict)
+        assert isinstance(delayed_by, dict)
         p50, p99 = (f"{value / 1e3:.1f}" if value is not None else "-" for value in (latency["p50"], latency["p99"]))
         self._print(
             f"summary: {summary['duration_s']} s, {summary['ticks']} ticks, {summary['answered']} answered, "
-            f"{summary['missed']} missed, {summary['collisions']} collisions, {summary['vetoes']} vetoes, "
+            f"{summary['missed']} missed, {summary['collisions']} collisions, "
+            f"directives: {happened(directives, delayed_by)}; "
             f"{summary['restarts']} restarts, round trip p50/p99 {p50}/{p99} ms; {self._folder / 'summary.json'}"
         )

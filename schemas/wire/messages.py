@@ -6,7 +6,8 @@ Conventions, for every message:
   the ego's direction of travel and the y axis growing to the **right** (highway-env's convention), so lane 0 is the
   leftmost lane and "left" means a smaller lane index.
 * Fields are only ever appended, with a default; a name never changes its type or meaning. `schema` is `major.minor`:
-  a reader refuses another major and reads a newer minor, ignoring fields that it does not know.
+  a reader refuses another major and reads a newer minor, ignoring fields that it does not know and keeping members of
+  an enumeration that it does not know as they came (`Open`).
 * `epoch` names one continuous world (a new one at every start or reset of the simulator); ticks count from 0 inside
   it. What belongs to an old epoch is stale whatever its age.
 * `stamp_ns` is CLOCK_MONOTONIC of the publishing host, comparable on one host only. Nothing reads wall time for age.
@@ -19,7 +20,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-SCHEMA_VERSION = "1.0"
+SCHEMA_VERSION = "2.0"
 
 Manoeuvre = Literal["cruise", "follow", "overtake", "merge", "yield", "stop"]
 Style = Literal["calm", "normal", "assertive"]
@@ -57,7 +58,19 @@ POLICY_ACTIONS = 5
 """How many members of `MetaAction` the policy chooses among (the paper's five)."""
 
 
-class Reason(StrEnum):
+class Open(StrEnum):
+    """An enumeration that may grow with a minor version: what a newer node sends is kept, with its text, as UNKNOWN."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> Open | None:
+        if not isinstance(value, str):
+            return None
+        unknown = str.__new__(cls, value)
+        unknown._name_, unknown._value_ = "UNKNOWN", value
+        return unknown
+
+
+class Reason(Open):
     """Why the mask, or the passenger's intent, closes an action. The mask numbers them in this order, from 1."""
 
     NO_LANE = "no lane there"
@@ -132,7 +145,7 @@ class Closure(Struct, frozen=True, kw_only=True):
     """Why the mask closed one action: the rule and, where there is one, the vehicle."""
 
     action: int
-    rule: str
+    rule: Reason
     vehicle: int = -1
 
 
@@ -199,20 +212,31 @@ class Reply(Message, frozen=True, kw_only=True, tag="reply"):
     directive_id: int | None = None
 
 
-EventKind = Literal["delayed", "vetoed", "overridden", "fulfilled", "expired", "superseded", "fault", "world"]
-"""What each means, and since when it counts, is in `schemas/README.md`."""
+class EventKind(Open):
+    """What has happened; since when it counts is in `schemas/README.md`."""
+
+    DELAYED = "delayed"
+    """The mask holds back what the directive asks for."""
+    OVERRIDDEN = "overridden"
+    """The ego accelerates to the limit first, whatever speed was asked for, until a car behind leaves room."""
+    CARRIED_OUT = "carried_out"
+    """A lane change that was delayed begins."""
+    FULFILLED = "fulfilled"
+    EXPIRED = "expired"
+    WORLD = "world"
+    """A new world has begun; `detail` says after what."""
 
 
 class Event(Message, frozen=True, kw_only=True, tag="event"):
-    """Something that happened to a directive or to the run, with the rule that caused it and for how long.
+    """Something that happened to a directive or to the world, with the rule that caused it and for how long.
 
-    About a directive, `rule` is the mask's; of one that has ended the last that held it up, "" if none did.
+    About a directive, `rule` is the mask's; of one that has ended the last that held it up, None if none did.
     """
 
     kind: EventKind
     node: str
     tick: int
-    rule: str = ""
+    rule: Reason | None = None
     vehicle: int = -1
     since_tick: int = -1
     """The tick at which the condition began; -1 when the event has no extent."""

@@ -254,7 +254,7 @@ def test_a_crash_is_counted_and_followed_by_a_new_epoch() -> None:
     observation = node.step(None, 9)
     assert (observation.epoch, observation.tick, observation.crashed) == (8, 0, False)
     event = node.take_events()[0]
-    assert (event.kind, event.epoch, event.rule) == ("world", 8, "collision")
+    assert (event.kind, event.epoch, event.detail) == ("world", 8, "new world after collision, seed 1")
     assert node.take_events() == []
     assert node.metrics.episodes == 2
 

@@ -18,7 +18,7 @@ from msgspec import structs
 from fast_node.config import FastConfig
 from fast_node.node import FastNode
 from fast_node.policies.attention import load_attention
-from schemas.driving.intent import BEHIND_M
+from schemas.driving.road import BEHIND_M
 from schemas.runtime.clock import NS
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import Directive, Event, MetaAction
@@ -74,7 +74,7 @@ class Case:
     """What the ego has reached by then."""
     asks: Callable[[float, float], bool]
     """(s, m): whether it asks home, at this time and with this gap to the follower."""
-    before: tuple[tuple[str, str, str], ...] = ()
+    before: tuple[tuple[str, str | None], ...] = ()
     """Events until then, as `Replay.what` has them."""
 
 
@@ -105,7 +105,7 @@ ONE_WAY = Case(
     home_mps=25.0,
     starts_home_mps=26.6,
     asks=lambda t, gap_m: t >= 20.0,
-    before=(("fulfilled", "", ""),),
+    before=(("fulfilled", None),),
 )
 
 
@@ -122,9 +122,9 @@ class Replay:
     speed_mps: list[float] = field(default_factory=list)
     follower_mps: list[float] = field(default_factory=list)
 
-    def what(self) -> list[tuple[str, str, str]]:
-        """Kind, rule and detail of every event."""
-        return [(e.kind, e.rule, e.detail) for _, e in self.events]
+    def what(self) -> list[tuple[str, str | None]]:
+        """Kind and rule of every event."""
+        return [(e.kind, e.rule) for _, e in self.events]
 
     def ego_mps(self, at_s: float) -> float:
         """The ego's speed."""
@@ -215,10 +215,10 @@ def test_the_request_is_delayed_overridden_by_accelerating_carried_out_and_fulfi
     rule = "rear gap in lane"
     assert run.what() == [
         *run.case.before,
-        ("delayed", rule, ""),
-        ("overridden", rule, "accelerates first"),
-        ("overridden", rule, "and now carried out"),
-        ("fulfilled", rule, ""),
+        ("delayed", rule),
+        ("overridden", rule),
+        ("carried_out", rule),
+        ("fulfilled", rule),
     ]
 
 

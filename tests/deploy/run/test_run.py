@@ -18,7 +18,7 @@ from deploy.run.processes import Model, Process, RunOptions, free_port, listener
 from deploy.run.status import Live
 from deploy.run.summary import Summary
 from deploy.run.supervisor import RestartPolicy, Supervisor
-from schemas.wire.messages import Command, Directive, Event, Observation, Reply, Status
+from schemas.wire.messages import Command, Directive, Event, EventKind, Observation, Reason, Reply, Status
 from tests.waiting import until
 
 QUICK = RestartPolicy(first_s=0.05, most_s=0.1, grace_s=0.5)
@@ -209,8 +209,10 @@ def test_a_terminated_run_leaves_a_summary_and_no_orphan(tmp_path: Path) -> None
     assert run.returncode == 143
     assert not any(map(alive, pids))
     summary = json.loads(out)
-    assert summary["schema"] == "fastslow.run/1"
-    assert {"ticks", "answered", "missed", "collisions", "restarts", "latency_us", "commands", "vetoes"} <= set(summary)
+    assert summary["schema"] == "fastslow.run/2"
+    assert {"ticks", "answered", "missed", "collisions", "restarts", "latency_us", "commands", "directives"} <= set(
+        summary
+    )
     assert [json.loads(file.read_text()) for file in tmp_path.glob("runs/*/summary.json")] == [summary]
 
 
@@ -314,7 +316,8 @@ def test_the_summary_tells_each_command_with_its_times() -> None:
     summary.command(Command(epoch=0, stamp_ns=second, id=5, text="faster"))
     for at, outcome in ((2, "heard"), (3, "issued"), (4, "issued"), (9, "fulfilled")):
         summary.reply(Reply(stamp_ns=at * second, outcome=outcome, **common))  # type: ignore[arg-type]
-    summary.event(Event(epoch=1, stamp_ns=0, kind="vetoed", node="fast", tick=1))
+    for kind in (EventKind.DELAYED, EventKind.DELAYED, EventKind.OVERRIDDEN):
+        summary.event(Event(epoch=1, stamp_ns=0, kind=kind, node="fast", tick=1, rule=Reason.ONCOMING))
     for pid in (1, 2):
         summary.status(
             Status(
@@ -328,7 +331,11 @@ def test_the_summary_tells_each_command_with_its_times() -> None:
             )
         )
     result = summary.result({"sim": 1, "slow": 0}, 20 * second)
-    assert (result["ticks"], result["answered"], result["restarts"], result["vetoes"]) == (30, 18, 1, 1)
+    assert (result["ticks"], result["answered"], result["restarts"]) == (30, 18, 1)
+    assert (result["directives"], result["delayed_by"]) == (
+        {"delayed": 2, "overridden": 1, "carried_out": 0, "fulfilled": 0, "expired": 0},
+        {"oncoming traffic": 2},
+    )
     assert result["latency_us"] == {"p50": 200.0, "p99": None}
     assert result["commands"] == [
         {
@@ -350,8 +357,17 @@ def test_the_live_line_shows_what_is_going_on() -> None:
     live.directive(Directive(epoch=1, stamp_ns=0, id=9, command_id=5, scene_tick=1, manoeuvre="overtake"))
     assert "overtake, 28 s left" in live.line(2 * 10**9)
     reply = Reply(epoch=1, stamp_ns=0, command_id=5, outcome="fulfilled", text="faster", say="Done.", directive_id=9)
-    assert 'fulfilled  "faster": "Done."' in live.reply(reply)
+    assert 'fulfilled   "faster": "Done."' in live.reply(reply)
     assert "no directive" in live.line(2 * 10**9)
-    assert live.event(Event(epoch=1, stamp_ns=0, kind="fulfilled", node="fast", tick=1, command_id=5)) is None
-    veto = Event(epoch=1, stamp_ns=0, kind="vetoed", node="fast", tick=8, rule="oncoming", vehicle=4, duration_s=1.5)
-    assert "vetoed     tick 8, oncoming, vehicle 4, for 1.5 s" in (live.event(veto) or "")
+    assert live.event(Event(epoch=1, stamp_ns=0, kind=EventKind.FULFILLED, node="fast", tick=1, command_id=5)) is None
+    begun = Event(
+        epoch=1,
+        stamp_ns=0,
+        kind=EventKind.CARRIED_OUT,
+        node="fast",
+        tick=8,
+        rule=Reason.ONCOMING,
+        vehicle=4,
+        duration_s=1.5,
+    )
+    assert "carried out tick 8, oncoming traffic, vehicle 4, for 1.5 s" in (live.event(begun) or "")
