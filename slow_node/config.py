@@ -24,9 +24,9 @@ class SlowConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     k: int = 4
     """Examples recalled for a thought; 0: none."""
     ask: Literal["auto", "always", "unsure", "never"] = "auto"
-    """When the language model is asked; `auto`: an endpoint always, the embedded model where the reader is unsure."""
-    reader: bool = True
-    """False: without the trained reader, the language model alone (for measurements)."""
+    """When the language model is asked; `auto`: an endpoint always, the embedded model where the parser is unsure."""
+    parser: bool = True
+    """False: without the trained intent parser, the language model alone (for measurements)."""
     seeds: bool = True
     """False: the memory bank starts empty (for measurements)."""
 

@@ -14,14 +14,14 @@ from schemas.wire import topics
 from schemas.wire.codec import Fault, decode_command
 from schemas.wire.messages import Directive, Reply
 from slow_node.config import SlowConfig
-from slow_node.deliberation import Call, Deliberation, Drop, Effect, Learn
+from slow_node.deliberation import Abandon, Deliberation, Effect, Interpret, Remember
+from slow_node.interpreter import Interpretation, Interpreter, Style
 from slow_node.llm.embedding import load_embedder
 from slow_node.llm.model import MAX_TOKENS, MAX_TOKENS_SHORT, ChatModel
 from slow_node.memory.bank import Memory
 from slow_node.memory.examples import SEEDS
 from slow_node.planning.scene import describe, encode_scene
-from slow_node.thinking import Style, Thinker, Verdict
-from slow_node.understanding.reader import Reader
+from slow_node.understanding.intent_parser import IntentParser
 
 NAME = "slow"
 POLL_S = 0.03
@@ -30,13 +30,13 @@ POLL_S = 0.03
 class SlowNode:
     """Polls the bus, feeds the deliberation, carries its effects out."""
 
-    def __init__(self, bus: Bus, memory: Memory, model: ChatModel, thinker: Thinker) -> None:
-        self._bus, self._memory, self._model, self._thinker = bus, memory, model, thinker
+    def __init__(self, bus: Bus, memory: Memory, model: ChatModel, interpreter: Interpreter) -> None:
+        self._bus, self._memory, self._model, self._interpreter = bus, memory, model, interpreter
         self._observations = bus.subscribe(topics.OBSERVATION)
         self._commands = bus.subscribe_bytes(topics.COMMAND)
         self._events = bus.subscribe(topics.EVENT)
         self._deliberation = Deliberation()
-        self._thought: asyncio.Task[None] | None = None
+        self._interpretation: asyncio.Task[None] | None = None
         self._chores: set[asyncio.Task[None]] = set()
         self._seen: tuple[int, int] | None = None
         self._model_ms = 0.0
@@ -63,7 +63,7 @@ class SlowNode:
                     heart.end()
                 await asyncio.sleep(POLL_S)
         finally:
-            self._drop_thought()
+            self._abandon()
             await self._model.close()
 
     def poll(self, now_ns: int) -> None:
@@ -91,34 +91,34 @@ class SlowNode:
                 case Reply():
                     self._bus.publish(topics.REPLY, effect)
                     log(NAME, effect.outcome, effect.why, command_id=effect.command_id, text=effect.text)
-                case Call():
-                    self._drop_thought()
-                    self._thought = asyncio.get_running_loop().create_task(self._think(effect))
-                case Drop():
-                    self._drop_thought()
-                case Learn():
-                    chore = asyncio.get_running_loop().create_task(self._learn(effect))
+                case Interpret():
+                    self._abandon()
+                    self._interpretation = asyncio.get_running_loop().create_task(self._interpret(effect))
+                case Abandon():
+                    self._abandon()
+                case Remember():
+                    chore = asyncio.get_running_loop().create_task(self._remember(effect))
                     self._chores.add(chore)
                     chore.add_done_callback(self._chores.discard)
 
-    def _drop_thought(self) -> None:
-        if self._thought is not None:
-            self._thought.cancel()
-            self._thought = None
+    def _abandon(self) -> None:
+        if self._interpretation is not None:
+            self._interpretation.cancel()
+            self._interpretation = None
 
-    async def _think(self, call: Call) -> None:
+    async def _interpret(self, effect: Interpret) -> None:
         try:
-            verdict = await self._thinker.think(call.command, call.scene, call.intent, call.veto)
-        except Exception as error:  # a passenger must get an answer even to a thought that broke
+            found = await self._interpreter.interpret(effect.command, effect.scene, effect.delayed, effect.delayed_by)
+        except Exception as error:  # a passenger must get an answer even where this broke
             log(NAME, "fault", f"{type(error).__name__}: {error}")
-            verdict = Verdict(None, f"internal error: {type(error).__name__}", model_answered=False)
-        if verdict.model_ms:
-            self._model_ms = verdict.model_ms
+            found = Interpretation(None, f"internal error: {type(error).__name__}", model_answered=False)
+        if found.model_ms:
+            self._model_ms = found.model_ms
         # Forgotten before its effects: they must not cancel the task that carries them out.
-        self._thought = None
-        self._carry_out(self._deliberation.on_verdict(call.id, verdict, time.monotonic_ns()))
+        self._interpretation = None
+        self._carry_out(self._deliberation.on_interpretation(effect.id, found, time.monotonic_ns()))
 
-    async def _learn(self, effect: Learn) -> None:
+    async def _remember(self, effect: Remember) -> None:
         await asyncio.to_thread(
             self._memory.learn,
             effect.command,
@@ -132,12 +132,12 @@ class SlowNode:
 
 def build(bus: Bus, config: SlowConfig) -> tuple[SlowNode, Memory]:
     """The node with its parts; the caller closes the memory."""
-    thinker, memory, model = build_thinker(config)
-    return SlowNode(bus, memory, model, thinker), memory
+    interpreter, memory, model = build_interpreter(config)
+    return SlowNode(bus, memory, model, interpreter), memory
 
 
-def build_thinker(config: SlowConfig) -> tuple[Thinker, Memory, ChatModel]:
-    """What thinks, without the bus: the caller closes the memory and the model."""
+def build_interpreter(config: SlowConfig) -> tuple[Interpreter, Memory, ChatModel]:
+    """What interprets commands, without the bus: the caller closes the memory and the model."""
     embedder = load_embedder()
     memory = Memory(embedder, config.memory_path, SEEDS if config.seeds else None)
     key = "" if config.embedded else os.environ.get(config.api_key_env, "")
@@ -147,14 +147,14 @@ def build_thinker(config: SlowConfig) -> tuple[Thinker, Memory, ChatModel]:
         config.base_url, config.model, key, max_tokens=MAX_TOKENS_SHORT if config.embedded else MAX_TOKENS
     )
     ask = config.ask if config.ask != "auto" else "unsure" if config.embedded else "always"
-    reader = Reader.load(embedder) if config.reader else None
+    parser = IntentParser.load(embedder) if config.parser else None
     style: Style = "full" if not config.embedded else "adapted" if config.adapter else "short"
-    thinker = Thinker(memory, model, reader, style=style, k=config.k, budget_s=config.budget_s, ask=ask)
-    return thinker, memory, model
+    interpreter = Interpreter(memory, model, parser, style=style, k=config.k, budget_s=config.budget_s, ask=ask)
+    return interpreter, memory, model
 
 
 async def _until_signal(node: SlowNode, heart: Heartbeat) -> None:
-    """Signals become a flag: an exception raised by a handler could end a thought instead of the node."""
+    """Signals become a flag: an exception raised by a handler could end an interpretation instead of the node."""
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)

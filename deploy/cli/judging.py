@@ -125,7 +125,7 @@ def interpret(
         int | None, typer.Option(min=1, help="Only so many of each kind of the set, the same ones every time.")
     ] = None,
     ask: Annotated[str, typer.Option(help="Ask the language model: auto, always, unsure or never.")] = "auto",
-    reader: Annotated[bool, typer.Option(help="Use the trained reader.")] = True,
+    parser: Annotated[bool, typer.Option(help="Use the trained intent parser.")] = True,
     k: Annotated[int, typer.Option(min=0, max=8, help="Examples recalled for the model.")] = 4,
     threads: Annotated[int, typer.Option(min=1, help="Of the embedded model.")] = 1,
     as_json: Json = False,
@@ -137,7 +137,7 @@ def interpret(
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads: two threads are slower
     from deploy.lab.interpret import batch
     from deploy.lab.interpret_score import SETS, memory_experiment, score_set
-    from deploy.lab.thinker import Ask
+    from deploy.lab.interpreter import Ask
 
     if ask not in get_args(Ask):
         raise typer.BadParameter(f"{ask}: choose from {', '.join(get_args(Ask))}", param_hint="'--ask'")
@@ -150,9 +150,9 @@ def interpret(
     if score:
         raise typer.Exit(
             score_set(
-                which, as_json=as_json, per_kind=per_kind, output=output, ask=ask, reader=reader, k=k, threads=threads
+                which, as_json=as_json, per_kind=per_kind, output=output, ask=ask, parser=parser, k=k, threads=threads
             )
         )
     if source is None:
         raise typer.BadParameter('give a file or "-", or --score', param_hint="'--input'")
-    raise typer.Exit(batch(source, output, scene, ask=ask, reader=reader, k=k, threads=threads))
+    raise typer.Exit(batch(source, output, scene, ask=ask, parser=parser, k=k, threads=threads))

@@ -13,13 +13,13 @@ from typing import IO, Any
 
 import numpy as np
 
-from deploy.lab.thinker import running_thinker
+from deploy.lab.interpreter import running_interpreter
 from schemas.driving.measures import CAR_LENGTH_M
 from schemas.runtime.process import CONFIG, FAILED, OK, USAGE, ConfigError
-from schemas.wire.messages import Lane, Observation
-from slow_node.planning.directive import Plan, Refusal, plan_of
+from schemas.wire.messages import Directive, Lane, Observation
+from slow_node.interpreter import Interpreter
+from slow_node.planning.directive import ASKS, Refusal, directive_of
 from slow_node.planning.scene import Scene, encode_scene
-from slow_node.thinking import Thinker
 from slow_node.understanding.slots import Slots
 
 DEFAULT_SCENE: dict[str, Any] = {
@@ -100,42 +100,32 @@ def scene_of(value: object) -> Scene:
     )
 
 
-async def interpret(thinker: Thinker, text: str, scene: Scene) -> dict[str, Any]:
+async def interpret(interpreter: Interpreter, text: str, scene: Scene) -> dict[str, Any]:
     """One command's outcome, as an output line without its id."""
     began = time.perf_counter()
-    verdict = await thinker.think(text, scene)
-    slots = verdict.slots or Slots(outcome="unclear")
-    plan: Plan | Refusal = plan_of(slots, scene)
+    found = await interpreter.interpret(text, scene)
+    slots = found.slots or Slots(outcome="unclear")
+    planned: Directive | Refusal = directive_of(slots, scene)
     latency = time.perf_counter() - began
-    outcome: str = "directive" if isinstance(plan, Plan) else plan.outcome
-    if verdict.slots is None and not verdict.model_answered:
+    outcome: str = planned.outcome if isinstance(planned, Refusal) else "directive"
+    if found.slots is None and not found.model_answered:
         outcome = "error"
     return {
         "text": text,
         "outcome": outcome,
-        "directive": _directive(plan) if isinstance(plan, Plan) else None,
+        "directive": {name: getattr(planned, name) for name in ASKS} if isinstance(planned, Directive) else None,
         "slots": slots.labelled(scene.limit_mps) if outcome == "directive" else dict(NO_SLOTS),
-        "say": plan.say,
-        "reasoning": slots.reasoning or verdict.why,
+        "say": planned.say,
+        "reasoning": slots.reasoning or found.why,
         "latency_s": round(latency, 4),
-        "model": verdict.source,
-        "retrieved": [{"command": e.command, "cosine": round(e.cosine, 3)} for e in verdict.nearest],
-        **({"why": verdict.why} if verdict.why else {}),
-    }
-
-
-def _directive(plan: Plan) -> dict[str, Any]:
-    return {
-        "manoeuvre": plan.manoeuvre,
-        "target_lane": plan.target_lane,
-        "target_speed_mps": plan.target_speed_mps,
-        "headway_s": plan.headway_s,
-        "style": plan.style,
+        "model": found.source,
+        "retrieved": [{"command": e.command, "cosine": round(e.cosine, 3)} for e in found.nearest],
+        **({"why": found.why} if found.why else {}),
     }
 
 
 def interpret_lines(
-    lines: list[str], default: Scene, thinker: Thinker, write: Callable[[dict[str, Any]], None]
+    lines: list[str], default: Scene, interpreter: Interpreter, write: Callable[[dict[str, Any]], None]
 ) -> tuple[int, int]:
     """Interpret input lines one by one; every non-empty line yields one output line. Commands and errors counted."""
 
@@ -151,7 +141,7 @@ def interpret_lines(
                 identity = row.get("id", identity)
                 text = row["text"] if isinstance(row.get("text"), str) else ""
                 scene = _checked(row, default)
-                result = await interpret(thinker, text, scene)
+                result = await interpret(interpreter, text, scene)
             except Exception as error:  # nothing is lost: the line's place in the output says what happened
                 result = {
                     "text": text,
@@ -215,13 +205,13 @@ def batch(source: str, target: str, scene_path: Path | None, **options: Any) -> 
         print(f"fastslow: {error}", file=sys.stderr)
         return USAGE
     try:
-        with _open(target) as out, running_thinker(**options) as thinker:
+        with _open(target) as out, running_interpreter(**options) as interpreter:
 
             def write(row: dict[str, Any]) -> None:
                 out.write(json.dumps(row, ensure_ascii=False) + "\n")
                 out.flush()
 
-            done, errors = interpret_lines(lines, default, thinker, write)
+            done, errors = interpret_lines(lines, default, interpreter, write)
     except OSError as error:
         print(f"fastslow: {error}", file=sys.stderr)
         return FAILED

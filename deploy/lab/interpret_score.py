@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from deploy.lab.interpret import DEFAULT_SCENE, interpret_lines, scene_of
-from deploy.lab.thinker import running_thinker
+from deploy.lab.interpreter import running_interpreter
 from schemas.runtime.process import CONFIG, OK, ConfigError
 from slow_node.evaluation.score import DEV_SET, read_lines, score, table
 
@@ -22,8 +22,8 @@ SETS = ("dev", "blind")
 def measure(gold: list[dict[str, Any]], **options: Any) -> dict[str, Any]:
     """Score an interpreter on labelled lines, with its latencies and who answered. Raises `ConfigError`."""
     rows: list[dict[str, Any]] = []
-    with running_thinker(**options) as thinker:
-        interpret_lines([json.dumps(row) for row in gold], scene_of(DEFAULT_SCENE), thinker, rows.append)
+    with running_interpreter(**options) as interpreter:
+        interpret_lines([json.dumps(row) for row in gold], scene_of(DEFAULT_SCENE), interpreter, rows.append)
     latencies = np.array([row["latency_s"] for row in rows])
     answered = {str(row["model"]) for row in rows}
     return {
@@ -86,7 +86,7 @@ def memory_experiment(*, as_json: bool, per_kind: int | None, threads: int) -> i
         print(name, file=sys.stderr)
         try:
             result = measure(
-                gold, ask="always", reader=False, k=k, empty_bank=empty, threads=threads, adapter=adapter, budget_s=60.0
+                gold, ask="always", parser=False, k=k, empty_bank=empty, threads=threads, adapter=adapter, budget_s=60.0
             )
         except ConfigError as error:
             print(f"fastslow: {error}", file=sys.stderr)

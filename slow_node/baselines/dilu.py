@@ -16,15 +16,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.driving.measures import gap_m
+from schemas.driving.road import LANE, VX, X, gap_between
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import Lane, MetaAction, Observation
 from slow_node.llm.embedding import Embedder
-from slow_node.planning.prompt import Chat
+from slow_node.llm.model import Chat
 
 FEW_SHOTS = 3
 """Experiences in a prompt: their `few_shot_num`."""
-AHEAD_M, BEHIND_M = 120.0, 50.0
+SEEN_AHEAD_M, SEEN_BEHIND_M = 120.0, 50.0
 """Cars farther away are not mentioned."""
 NEAR_S = 3.0
 """A car ahead within this time headway is a reason to act."""
@@ -46,7 +46,7 @@ slow cars, leave a lane that ends, but never collide. Gaps are in m, speeds in m
 _ID = re.compile(re.escape(ANSWER) + r"\s*([0-4])(?!\d)")
 
 Row = list[float]
-_X, _VX, _LENGTH, _LANE = 1, 3, 6, 8
+"""A vehicle: `ROW_COLUMNS`."""
 
 
 @dataclass(frozen=True)
@@ -102,15 +102,15 @@ def describe(observation: Observation) -> str:
     lanes, ego = observation.lanes, rows[0]
     lane = _lane(ego, lanes)
     here = lanes[lane]
-    parts = [f"{len(lanes)} lanes, you are in lane {lane}, {ego[_VX]:.0f} of {here.speed_limit_mps:.0f} m/s"]
-    rising = observation.target_speed_mps - ego[_VX]
+    parts = [f"{len(lanes)} lanes, you are in lane {lane}, {ego[VX]:.0f} of {here.speed_limit_mps:.0f} m/s"]
+    rising = observation.target_speed_mps - ego[VX]
     if abs(rising) > SAME_SPEED_MPS:
         parts[0] += ", speeding up" if rising > 0 else ", slowing down"
     if observation.previous_lane >= 0:
         parts.append(f"Changing to lane {observation.target_lane}")
     if here.direction < 0:
         parts.append("This lane is for oncoming cars")
-    left = here.end_m - ego[_X]
+    left = here.end_m - ego[X]
     if left < LANE_ENDS_M:
         parts.append(f"Lane ends in {max(left, 0.0):.0f}")
     ahead, _ = _neighbours(rows, lane, lanes)
@@ -128,11 +128,11 @@ def explain(observation: Observation, action: MetaAction) -> str:
     ahead, _ = _neighbours(rows, lane, lanes)
     if lanes[lane].direction < 0:
         why = "I am in the oncoming lane"
-    elif lanes[lane].end_m - ego[_X] < LANE_ENDS_M:
+    elif lanes[lane].end_m - ego[X] < LANE_ENDS_M:
         why = "My lane ends"
-    elif ahead is None or _gap(ego, ahead) > NEAR_S * max(ego[_VX], 1.0):
+    elif ahead is None or _gap(ego, ahead) > NEAR_S * max(ego[VX], 1.0):
         why = "No car is near ahead"
-    elif ahead[_VX] < ego[_VX] - SAME_SPEED_MPS:
+    elif ahead[VX] < ego[VX] - SAME_SPEED_MPS:
         why = "The car ahead is slower"
     else:
         why = "The car ahead is not slower"
@@ -140,7 +140,7 @@ def explain(observation: Observation, action: MetaAction) -> str:
 
 
 def _lane(row: Row, lanes: Sequence[Lane]) -> int:
-    return min(max(int(row[_LANE]), 0), len(lanes) - 1)
+    return min(max(int(row[LANE]), 0), len(lanes) - 1)
 
 
 def _exists(lanes: Sequence[Lane], index: int, x: float) -> bool:
@@ -149,34 +149,34 @@ def _exists(lanes: Sequence[Lane], index: int, x: float) -> bool:
 
 def _gap(ego: Row, other: Row) -> float:
     """Bumper to bumper, whichever is in front; negative beside each other."""
-    rear, front = (ego, other) if other[_X] >= ego[_X] else (other, ego)
-    return gap_m(rear[_X], front[_X], rear[_LENGTH], front[_LENGTH])
+    rear, front = (ego, other) if other[X] >= ego[X] else (other, ego)
+    return gap_between(rear, front)
 
 
 def _neighbours(rows: list[Row], index: int, lanes: Sequence[Lane]) -> tuple[Row | None, Row | None]:
     """The nearest cars in a lane that are worth mentioning: (ahead, behind)."""
     ego = rows[0]
     there = [row for row in rows[1:] if _lane(row, lanes) == index]
-    ahead = min((r for r in there if 0.0 <= r[_X] - ego[_X] < AHEAD_M), key=lambda r: r[_X], default=None)
-    behind = max((r for r in there if 0.0 < ego[_X] - r[_X] < BEHIND_M), key=lambda r: r[_X], default=None)
+    ahead = min((r for r in there if 0.0 <= r[X] - ego[X] < SEEN_AHEAD_M), key=lambda r: r[X], default=None)
+    behind = max((r for r in there if 0.0 < ego[X] - r[X] < SEEN_BEHIND_M), key=lambda r: r[X], default=None)
     return ahead, behind
 
 
 def _beside(rows: list[Row], lanes: Sequence[Lane], own: int, index: int) -> str:
     """The lane `index` as somewhere to go from the lane `own`."""
     ego = rows[0]
-    if not _exists(lanes, index, ego[_X]) or lanes[index].kind == "ramp":
+    if not _exists(lanes, index, ego[X]) or lanes[index].kind == "ramp":
         return "none"
-    if ego[_X] < lanes[own].change_from_m:
+    if ego[X] < lanes[own].change_from_m:
         return "not yet"
     cars = [_car(ego, row) for row in _neighbours(rows, index, lanes) if row]
     return "; ".join(cars) if cars else "oncoming lane, clear" if lanes[index].direction < 0 else "clear"
 
 
 def _car(ego: Row, other: Row) -> str:
-    gap, faster = _gap(ego, other), other[_VX] - ego[_VX]
-    where = "beside" if gap <= 0.0 else f"{gap:.0f} {'ahead' if other[_X] > ego[_X] else 'behind'}"
-    if other[_VX] < -SAME_SPEED_MPS:
+    gap, faster = _gap(ego, other), other[VX] - ego[VX]
+    where = "beside" if gap <= 0.0 else f"{gap:.0f} {'ahead' if other[X] > ego[X] else 'behind'}"
+    if other[VX] < -SAME_SPEED_MPS:
         return f"{where}, oncoming"
     if abs(faster) <= SAME_SPEED_MPS:
         return f"{where}, same speed"

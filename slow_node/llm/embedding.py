@@ -1,10 +1,9 @@
 """Sentence embeddings E(.) of the paper's memory retrieval (Eq. 6): all-MiniLM-L6-v2 in NumPy, without torch.
 
 One short sentence costs some ten milliseconds on one core. A small low-rank delta, shipped with the project, adapts
-the encoder to what passengers say for the reader (`slow_node.understanding.reader`); retrieval compares the
-original's vectors, which were made for that. Where the weights are not installed, a hashed n-gram embedding takes
-their place: it finds repeated
-words, not paraphrases.
+the encoder to what passengers say for the intent parser (`slow_node.understanding.intent_parser`); retrieval compares
+the original's vectors, which were made for that. Where the weights are not installed, a hashed n-gram embedding takes
+their place: it finds repeated words, not paraphrases.
 """
 
 from __future__ import annotations
@@ -82,7 +81,7 @@ class Rows:
     """Rows of one matrix of a safetensors file, read when asked for: `rows[indices]` is (n, width) float32.
 
     The two largest matrices are tables, of which a sentence needs a few rows: the vectors of MiniLM's 30,522 words
-    (47 MB) and of the reader's hashed n-grams. In memory they would be a third of the slow node.
+    (47 MB) and of the intent parser's hashed n-grams. In memory they would be a third of the slow node.
     """
 
     def __init__(self, path: Path, name: str) -> None:

@@ -15,8 +15,8 @@ from typing import Any
 
 import httpx
 
-from slow_node.planning.prompt import Chat
-
+Chat = list[dict[str, str]]
+"""Messages, each with a role and a content."""
 RETRIES = 2
 RETRY_PAUSE_S = 0.3
 MAX_TOKENS_SHORT, MAX_TOKENS = 120, 400

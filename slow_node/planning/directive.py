@@ -1,5 +1,7 @@
 """Parse and its gates (paper's Eq. 9): i_t = Parse(R_t), from the model's text to a directive that fits the road.
 
+A directive is planned here as a draft, without ids; `issued` makes it one to send.
+
 What must not rest on a model is decided here by rule: speed limits, safe distances, which lanes exist. Dangerous words
 are in `slow_node.understanding.refusals`, spoken numbers in `slow_node.understanding.numbers`. The safety mask of the
 fast node checks once more.
@@ -9,16 +11,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+from msgspec.structs import replace
 from pydantic import ValidationError
 
 from schemas.driving.measures import INF
-from schemas.wire.messages import Manoeuvre, Style
+from schemas.wire.messages import Directive, Manoeuvre, Style
 from slow_node.memory.bank import Example
 from slow_node.planning.replies import sentence
 from slow_node.planning.scene import Scene, is_slow
-from slow_node.understanding.slots import Outcome, Slots
+from slow_node.understanding.slots import FAR_OVER_LIMIT, Outcome, Slots
 
 SLOW_LEAD_WITHIN_M = 80.0
 SLOWER_BY_MPS, SLOWEST_MPS = 2.0, 1.0
@@ -26,27 +29,15 @@ LANE_ENDS_S = 10.0
 """Nobody is sent to a lane that ends within this time of driving while another goes on."""
 OVER_LIMIT_MPS = 0.05
 """A named speed that exceeds the limit by more than rounding: the passenger is told of the limit."""
+ASKS = ("manoeuvre", "target_lane", "target_speed_mps", "headway_s", "style")
+"""Fields of a directive that decide what the car does."""
 CROSS_CHECK_COSINE = 0.97
 CLOSER_HEADWAY_S, FARTHER_HEADWAY_S, MAX_HEADWAY_S = 1.2, 3.0, 6.0
 MIN_HEADWAY_S = 1.0
-FAR_OVER_LIMIT = 1.5
-"""A named speed up to this multiple of the limit is clamped to the limit; a higher one is refused."""
 
 
 class ParseError(ValueError):
     """The model's text cannot be used; `str()` says why in words that the model can act on."""
-
-
-@dataclass(frozen=True)
-class Plan:
-    """The part of a directive that the road and the wish decide."""
-
-    manoeuvre: Manoeuvre
-    target_lane: int | None = None
-    target_speed_mps: float | None = None
-    headway_s: float | None = None
-    style: Style = "normal"
-    say: str = ""
 
 
 @dataclass(frozen=True)
@@ -77,7 +68,7 @@ def parse_answer(text: str, numbers: Mapping[str, float] | None = None) -> Slots
     except ValidationError as error:
         first = error.errors()[0]
         raise ParseError(f"{'.'.join(map(str, first['loc'])) or 'the object'}: {first['msg']}") from None
-    if slots.outcome == "directive" and slots.wishes_nothing():
+    if slots.outcome == "directive" and slots.is_empty():
         raise ParseError("outcome is directive, but no slot says what to do")
     return slots
 
@@ -98,51 +89,51 @@ def cross_check(slots: Slots, nearest: Sequence[Example]) -> tuple[Slots, str]:
     return slots, ""
 
 
-def plan_of(slots: Slots, scene: Scene) -> Plan | Refusal:
-    """The directive's content for a wish on this road, or why there is none: the gate against the scene."""
+def directive_of(slots: Slots, scene: Scene) -> Directive | Refusal:
+    """The directive for a passenger's slots on this road, or why there is none: the gate against the scene."""
     if slots.outcome != "directive":
         why = {"refused": UNSAFE_WHY, "out_of_scope": "not about driving", "unclear": "unclear command"}[slots.outcome]
         return _refusal(
             f"{why}: {slots.reasoning}".rstrip(": "), slots, _SAY_OF[slots.outcome], slots.outcome, slots.say
         )
-    home = scene.home_lane
+    home, kept = scene.home_lane, scene.kept_lane
     back = home if scene.borrowing else None
     if slots.cancel:
-        return Plan("cruise", back, say=_say(slots, "cancel"))
+        return _draft(scene, "cruise", back, say=_say(slots, "cancel"))
     limit = scene.lanes[home].speed_limit_mps
     if slots.target_speed_mps is not None and slots.target_speed_mps > FAR_OVER_LIMIT * limit:
         return _refusal(f"{slots.target_speed_mps:.0f} m/s is far over the limit", slots, "unsafe")
     if slots.headway_s is not None and slots.headway_s < MIN_HEADWAY_S:
         return _refusal(f"{slots.headway_s:.1f} s is no safe distance", slots, "unsafe")
     if slots.speed == "stop":
-        return Plan("stop", back, 0.0, style="calm", say=_say(slots, "stop"))
-    if slots.lane == "keep" and not scene.borrowing and not may_take(scene, home):
+        return _draft(scene, "stop", back, 0.0, style="calm", say=_say(slots, "stop"))
+    if slots.lane == "keep" and not scene.borrowing and not may_take(scene, kept):
         return _refusal("this lane ends", slots, "no_lane")
-    on_left_is_oncoming = scene.exists(home - 1) and scene.lanes[home - 1].direction == -1
+    on_left_is_oncoming = scene.exists(kept - 1) and scene.lanes[kept - 1].direction == -1
     pass_left = slots.lane in ("left", "leftmost") and on_left_is_oncoming
     hurry = hurried(slots) and scene.two_way
     if slots.overtake is not False and slow_lead(scene) and (slots.overtake or pass_left or hurry):
         return _overtake(slots, scene)
     if pass_left and not scene.borrowing:
         return _refusal("the left lane is oncoming, with no slow car to pass", slots, "oncoming")
-    lane = _wished_lane(slots, scene)
+    lane = _target_lane(slots, scene)
     if isinstance(lane, Refusal):
         return lane
-    if lane is None and (slots.lane == "keep" or (slots.overtake is False and may_take(scene, home))):
-        lane = home
+    if lane is None and (slots.lane == "keep" or (slots.overtake is False and may_take(scene, kept))):
+        lane = kept
     if lane is None:
         lane = back
-    speed = _wished_speed(slots, scene, lane)
-    headway = _wished_headway(slots, scene)
+    speed = _target_speed(slots, scene, lane)
+    headway = _headway(slots, scene)
     manoeuvre: Manoeuvre = "cruise" if headway is None and slots.overtake is not False else "follow"
     if lane is None and speed is None and headway is None and slots.gap != "keep" and slots.overtake is not False:
         return _refusal("the answer asks for nothing", slots, "unclear", "unclear")
     style: Style = "calm" if slots.speed == "slower" or slots.gap == "farther" else "normal"
-    return Plan(manoeuvre, lane, speed, headway, style, _say(slots, _key(slots), _cap(scene, lane)))
+    return _draft(scene, manoeuvre, lane, speed, headway, style, _say(slots, _key(slots), _cap(scene, lane)))
 
 
 def hurried(slots: Slots) -> bool:
-    """A wish to get on, with no speed, other lane or place in the queue named: it does not end with the next car."""
+    """Asked to get on, with no speed, other lane or place in the queue named: it does not end with the next car."""
     return (
         slots.outcome == "directive"
         and slots.speed == "faster"
@@ -152,30 +143,50 @@ def hurried(slots: Slots) -> bool:
     )
 
 
-def onward_plan(slots: Slots, scene: Scene) -> Plan | Refusal:
+def onward_directive(slots: Slots, scene: Scene) -> Directive | Refusal:
     """A hurry that goes on after its first success: pass the next slow car, whatever was said about the first."""
-    return plan_of(slots.model_copy(update={"lane": "none", "overtake": True, "say": ""}), scene)
+    return directive_of(slots.model_copy(update={"lane": "none", "overtake": True, "say": ""}), scene)
 
 
-def right_plan(scene: Scene, language: str = "en") -> Plan:
+def right_directive(scene: Scene, language: str = "en") -> Directive:
     """One lane to the right again, on a one-way road, at the limit."""
     right = scene.home_lane + 1
-    return Plan("cruise", right, _cap(scene, right), say=sentence("right", language))
+    return _draft(scene, "cruise", right, _cap(scene, right), say=sentence("right", language))
 
 
-def on_this_road(plan: Plan, scene: Scene) -> Plan:
-    """A plan made elsewhere on the road: without a lane that has ended since, within the limit here; not said again."""
-    lane = plan.target_lane
+def on_this_road(directive: Directive, scene: Scene) -> Directive:
+    """One made elsewhere on the road: without a lane that has ended since, within the limit here; not said again."""
+    lane = directive.target_lane
     if (
         lane is not None
         and not may_take(scene, lane)
-        and not (plan.manoeuvre == "overtake" and scene.exists(lane) and scene.lanes[lane].direction == -1)
+        and not (directive.manoeuvre == "overtake" and scene.exists(lane) and scene.lanes[lane].direction == -1)
     ):
         lane = None
-    speed = plan.target_speed_mps
+    speed = directive.target_speed_mps
     return replace(
-        plan, target_lane=lane, target_speed_mps=None if speed is None else min(speed, _cap(scene, lane)), say=""
+        directive, target_lane=lane, target_speed_mps=None if speed is None else min(speed, _cap(scene, lane)), say=""
     )
+
+
+def issued(
+    draft: Directive, scene: Scene, command_id: int, directive_id: int, reasoning: str, now_ns: int
+) -> Directive:
+    """The directive to send: a draft, or another one once more, with the ids and the time of now."""
+    return replace(
+        draft,
+        epoch=scene.epoch,
+        stamp_ns=now_ns,
+        id=directive_id,
+        command_id=command_id,
+        scene_tick=scene.tick,
+        reasoning=reasoning,
+    )
+
+
+def asks_the_same(one: Directive, other: Directive) -> bool:
+    """Whether two directives ask the fast node for the same thing."""
+    return all(getattr(one, name) == getattr(other, name) for name in ASKS)
 
 
 def may_take(scene: Scene, lane: int) -> bool:
@@ -183,22 +194,44 @@ def may_take(scene: Scene, lane: int) -> bool:
     if not scene.exists(lane):
         return False
     at = scene.lanes[lane]
-    ends = at.end_m < max(b.end_m for b in scene.lanes) and at.end_m - scene.x_m < LANE_ENDS_S * scene.speed_mps
+    ends = scene.ends(lane) and at.end_m - scene.x_m < LANE_ENDS_S * scene.speed_mps
     return at.direction == 1 and at.kind != "ramp" and not ends
 
 
 def slow_lead(scene: Scene) -> bool:
     """A car to overtake: ahead in the ego's own lane, near and slower than the limit."""
     lead = scene.lead
-    return (
-        lead is not None and lead.gap_m < SLOW_LEAD_WITHIN_M and is_slow(lead.speed_mps, _cap(scene, scene.home_lane))
-    )
+    return lead is not None and lead.gap_m < SLOW_LEAD_WITHIN_M and is_slow(lead.speed_mps, _cap(scene, None))
 
 
-def return_plan(scene: Scene, language: str = "en") -> Plan:
+def return_directive(scene: Scene, language: str = "en") -> Directive:
     """The second half of an overtaking manoeuvre: back to the ego's own side of the road."""
     say = sentence("back", language)
-    return Plan("overtake", scene.home_lane, _cap(scene, scene.home_lane), style="assertive", say=say)
+    return _draft(scene, "overtake", scene.home_lane, _cap(scene, scene.home_lane), style="assertive", say=say)
+
+
+def _draft(
+    scene: Scene,
+    manoeuvre: Manoeuvre,
+    lane: int | None = None,
+    speed_mps: float | None = None,
+    headway_s: float | None = None,
+    style: Style = "normal",
+    say: str = "",
+) -> Directive:
+    return Directive(
+        epoch=scene.epoch,
+        stamp_ns=scene.stamp_ns,
+        id=0,
+        command_id=0,
+        scene_tick=scene.tick,
+        manoeuvre=manoeuvre,
+        target_lane=lane,
+        target_speed_mps=speed_mps,
+        headway_s=headway_s,
+        style=style,
+        say=say,
+    )
 
 
 _SAY_OF = {"refused": "unsafe", "out_of_scope": "out_of_scope", "unclear": "unclear"}
@@ -215,15 +248,15 @@ def _say(slots: Slots, key: str, cap_mps: float = INF) -> str:
     return slots.say or sentence(key, slots.language)
 
 
-def _overtake(slots: Slots, scene: Scene) -> Plan | Refusal:
-    home = scene.home_lane
-    sides = [home - 1, home + 1] if not scene.two_way else [home - 1]
+def _overtake(slots: Slots, scene: Scene) -> Directive | Refusal:
+    kept = scene.kept_lane
+    sides = [kept - 1, kept + 1] if not scene.two_way else [kept - 1]
     if slots.lane in ("right", "rightmost"):
         sides.reverse()
     for lane in sides:
         if may_take(scene, lane) or (scene.exists(lane) and scene.lanes[lane].direction == -1):
             cap = _cap(scene, lane)
-            return Plan("overtake", lane, cap, style="assertive", say=_say(slots, "overtake", cap))
+            return _draft(scene, "overtake", lane, cap, style="assertive", say=_say(slots, "overtake", cap))
     return _refusal("there is no lane to overtake in", slots, "no_lane")
 
 
@@ -232,7 +265,7 @@ def _cap(scene: Scene, lane: int | None) -> float:
     return scene.lanes[scene.home_lane if lane is None else lane].speed_limit_mps
 
 
-def _wished_lane(slots: Slots, scene: Scene) -> int | Refusal | None:
+def _target_lane(slots: Slots, scene: Scene) -> int | Refusal | None:
     """The lane that was named. From a borrowed lane, right is the way home and left is farther into the traffic."""
     if slots.lane in ("left", "right"):
         lane = scene.ego_lane + (-1 if slots.lane == "left" else 1)
@@ -251,7 +284,7 @@ def _wished_lane(slots: Slots, scene: Scene) -> int | Refusal | None:
     return None
 
 
-def _wished_speed(slots: Slots, scene: Scene, lane: int | None) -> float | None:
+def _target_speed(slots: Slots, scene: Scene, lane: int | None) -> float | None:
     """Between standstill and the limit; slower is never faster than now."""
     cap = _cap(scene, lane)
     if slots.target_speed_mps is not None:
@@ -265,7 +298,7 @@ def _wished_speed(slots: Slots, scene: Scene, lane: int | None) -> float | None:
     return None
 
 
-def _wished_headway(slots: Slots, scene: Scene) -> float | None:
+def _headway(slots: Slots, scene: Scene) -> float | None:
     """Time gap [s] behind the lead; a wish to keep it means the one we have now, within what is safe."""
     if slots.headway_s is not None:
         return min(max(slots.headway_s, CLOSER_HEADWAY_S), MAX_HEADWAY_S)
@@ -277,7 +310,7 @@ def _wished_headway(slots: Slots, scene: Scene) -> float | None:
 
 
 def _key(slots: Slots) -> str:
-    """Which sentence describes the wish best."""
+    """Which sentence describes the slots best."""
     if slots.lane != "none":
         return {"leftmost": "left", "rightmost": "right", "keep": "keep_lane"}.get(slots.lane, slots.lane)
     if slots.overtake is False:

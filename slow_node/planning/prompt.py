@@ -6,10 +6,10 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
+from slow_node.llm.model import Chat
 from slow_node.memory.bank import Example
 from slow_node.planning.scene import road_and_lead
 
-Chat = list[dict[str, str]]
 EXAMPLE_CHARS = 300
 """Longer commands, scenes and warnings of examples are cut off: the newest command must fit into the prompt."""
 

@@ -5,9 +5,25 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from schemas.driving.measures import INF, gap_m, ttc_s
+from schemas.driving.measures import INF, ttc_s
+from schemas.driving.road import (
+    ID,
+    LANE,
+    VX,
+    VY,
+    X,
+    gap_between,
+    has_passed,
+    home_lane,
+    is_oncoming,
+    lane_ends,
+    lane_table,
+)
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import Lane, Observation
+
+Row = list[float]
+"""A vehicle: `ROW_COLUMNS`."""
 
 SIGHT_M = 150.0
 BESIDE_M = 12.0
@@ -54,15 +70,14 @@ class Scene:
     stamp_ns: int
     scenario: str
     lanes: tuple[Lane, ...]
-    x_m: float
-    length_m: float
+    ego: Row
     speed_mps: float
     ego_lane: int
     home_lane: int
-    """The ego's lane, or the nearest one of its own direction while it borrows an oncoming lane."""
+    """The lane to go on in: not the ego's where that is an oncoming one, or ends (`schemas.driving.road.home_lane`)."""
     limit_mps: float
     lead: Other | None
-    """The next vehicle ahead in `home_lane`: the one to follow, or the one being passed."""
+    """The next vehicle ahead in `kept_lane`: the one to follow, or the one being passed."""
     ttc_s: float
     """Time to collision with the next vehicle ahead in the ego's lane, oncoming or not; inf while the gap opens."""
     oncoming_gap_m: float
@@ -72,10 +87,20 @@ class Scene:
     free_lanes: tuple[int, ...]
     slow_lanes: frozenset[int]
     """Those with a slow car ahead within `CLEAR_OF_SLOW_M`: no reason to move there."""
-    positions: dict[int, float]
-    """Centre along the road of every vehicle seen, by id."""
+    others: dict[int, Row]
+    """Every other vehicle seen, by id."""
     neighbours: tuple[Neighbour, ...]
     """The `RELEVANT_N` nearest within `RELEVANT_M`, without the lead and the oncoming; nearest first."""
+
+    @property
+    def x_m(self) -> float:
+        """The ego's centre along the road."""
+        return self.ego[X]
+
+    @property
+    def kept_lane(self) -> int:
+        """The lane that the passenger calls ours: the ego's, even one that ends; from a borrowed lane, `home_lane`."""
+        return self.home_lane if self.borrowing else self.ego_lane
 
     @property
     def two_way(self) -> bool:
@@ -90,6 +115,15 @@ class Scene:
         """The lane is part of the road here."""
         return 0 <= lane < len(self.lanes) and self.lanes[lane].start_m <= self.x_m <= self.lanes[lane].end_m
 
+    def ends(self, lane: int) -> bool:
+        """The lane ends before the road does."""
+        return lane_ends(lane_table(self.lanes), lane)
+
+    def has_passed(self, identity: int | None) -> bool:
+        """That vehicle lies behind the ego, with room to move in before it, or is out of sight."""
+        other = None if identity is None else self.others.get(identity)
+        return other is None or has_passed(self.ego, other)
+
 
 def is_slow(speed_mps: float, limit_mps: float) -> bool:
     """A car at this speed holds others up."""
@@ -99,48 +133,49 @@ def is_slow(speed_mps: float, limit_mps: float) -> bool:
 def encode_scene(observation: Observation) -> Scene:
     """Enc: the observation's rows as the few quantities that a command can be about."""
     rows = rows_of(observation).tolist()
-    _, x, _, vx, vy, _, length, _, lane = rows[0]
+    ego = rows[0]
     lanes = observation.lanes
-    ego_lane = min(max(int(lane), 0), len(lanes) - 1)
-    own = [i for i, at in enumerate(lanes) if at.direction == 1]
-    home = ego_lane if lanes[ego_lane].direction == 1 or not own else min(own, key=lambda i: abs(i - ego_lane))
+    ego_lane = min(max(int(ego[LANE]), 0), len(lanes) - 1)
+    home = home_lane(lane_table(lanes), ego_lane)
+    kept = home if lanes[ego_lane].direction == -1 else ego_lane
     lead: Other | None = None
     ahead_m, ttc, oncoming, oncoming_closing = INF, INF, INF, 0.0
     beside: set[int] = set()
     slow: set[int] = set()
     around: dict[tuple[int, bool], tuple[Neighbour, int]] = {}
-    for identity, other_x, _, other_vx, _, _, other_length, _, other_lane in rows[1:]:
-        index = min(max(int(other_lane), 0), len(lanes) - 1)
-        gap = gap_m(x, other_x, length, other_length)
-        if abs(other_x - x) < BESIDE_M:
+    for other in rows[1:]:
+        index = min(max(int(other[LANE]), 0), len(lanes) - 1)
+        gap = gap_between(ego, other)
+        away = other[X] - ego[X]
+        approaches = is_oncoming(other)
+        if abs(away) < BESIDE_M:
             beside.add(index)
-        if abs(index - ego_lane) <= 1 and not (lanes[index].direction == -1 and other_vx < 0.0):
-            ahead = other_x >= x
-            apart = gap if ahead else gap_m(other_x, x, other_length, length)
+        if abs(index - ego_lane) <= 1 and not approaches:
+            ahead = away >= 0.0
+            apart = gap if ahead else gap_between(other, ego)
             place = (index - ego_lane, ahead)
             if apart < RELEVANT_M and (place not in around or apart < around[place][0].gap_m):
-                closing = vx - other_vx if ahead else other_vx - vx
-                around[place] = Neighbour(*place, apart, closing), int(identity)
-        if other_x > x and gap < CLEAR_OF_SLOW_M and is_slow(other_vx, lanes[index].speed_limit_mps):
+                closing = ego[VX] - other[VX] if ahead else other[VX] - ego[VX]
+                around[place] = Neighbour(*place, apart, closing), int(other[ID])
+        if away > 0.0 and gap < CLEAR_OF_SLOW_M and is_slow(other[VX], lanes[index].speed_limit_mps):
             slow.add(index)
-        if not 0.0 < other_x - x < SIGHT_M:
+        if not 0.0 < away < SIGHT_M:
             continue
         if index == ego_lane and gap < ahead_m:
-            ahead_m, ttc = gap, ttc_s(gap, vx - other_vx)
-        if lanes[index].direction == -1 and other_vx < 0.0:
+            ahead_m, ttc = gap, ttc_s(gap, ego[VX] - other[VX])
+        if approaches:
             if gap < oncoming:
-                oncoming, oncoming_closing = gap, vx - other_vx
-        elif index == home and (lead is None or gap < lead.gap_m):
-            lead = Other(int(identity), gap, other_vx)
+                oncoming, oncoming_closing = gap, ego[VX] - other[VX]
+        elif index == kept and (lead is None or gap < lead.gap_m):
+            lead = Other(int(other[ID]), gap, other[VX])
     return Scene(
         epoch=observation.epoch,
         tick=observation.tick,
         stamp_ns=observation.stamp_ns,
         scenario=observation.scenario,
         lanes=lanes,
-        x_m=x,
-        length_m=length,
-        speed_mps=math.hypot(vx, vy),
+        ego=ego,
+        speed_mps=math.hypot(ego[VX], ego[VY]),
         ego_lane=ego_lane,
         home_lane=home,
         limit_mps=lanes[ego_lane].speed_limit_mps,
@@ -149,10 +184,10 @@ def encode_scene(observation: Observation) -> Scene:
         oncoming_gap_m=oncoming,
         oncoming_closing_mps=oncoming_closing,
         free_lanes=tuple(
-            i for i, at in enumerate(lanes) if at.start_m <= x <= at.end_m and (i == ego_lane or i not in beside)
+            i for i, at in enumerate(lanes) if at.start_m <= ego[X] <= at.end_m and (i == ego_lane or i not in beside)
         ),
         slow_lanes=frozenset(slow),
-        positions={int(row[0]): row[1] for row in rows[1:]},
+        others={int(row[ID]): row for row in rows[1:]},
         neighbours=tuple(
             sorted(
                 (one for one, identity in around.values() if lead is None or identity != lead.id),
@@ -162,9 +197,9 @@ def encode_scene(observation: Observation) -> Scene:
     )
 
 
-def describe(scene: Scene, veto: str = "") -> str:
+def describe(scene: Scene, delayed_by: str = "") -> str:
     """E_t as text: the road, our speed, the lead, the oncoming car, who is around, which lanes are free or end, and the
-    rule by which the fast system just vetoed something. Gaps in m, speeds in m/s; "closing -2": the gap grows.
+    rule by which the fast system just delayed something. Gaps in m, speeds in m/s; "closing -2": the gap grows.
 
     From forty to a hundred tokens, each of which costs the embedded model ten milliseconds.
     """
@@ -185,8 +220,8 @@ def describe(scene: Scene, veto: str = "") -> str:
             parts.append(f"lane {index} is {'oncoming' if lane.direction == -1 else 'a ramp'}")
     if here.end_m - scene.x_m < LANE_ENDS_M:
         parts.append(f"our lane ends in {here.end_m - scene.x_m:.0f} m")
-    if veto:
-        parts.append(f"just vetoed: {veto}")
+    if delayed_by:
+        parts.append(f"just delayed: {delayed_by}")
     return "; ".join(parts)
 
 

@@ -1,1 +1,1 @@
-"""How the slow system's reader is made: commands written by hand, composed by a seeded generator, and learnt from."""
+"""How the intent parser of the slow system is made: commands by hand, composed by a generator, and learnt from."""

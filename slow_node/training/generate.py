@@ -25,8 +25,8 @@ from pathlib import Path
 
 from slow_node.evaluation.score import exam_texts, plain_text
 from slow_node.training.noise import Noise
+from slow_node.understanding.intent_parser import HEADS, with_numbers
 from slow_node.understanding.numbers import SPELLING_LANGUAGES, quantities, spelled
-from slow_node.understanding.reader import HEADS, with_numbers
 from slow_node.understanding.slots import Slots
 
 LIMIT_MPS = 33.0
@@ -549,7 +549,7 @@ def seeds(stock: Stock, seed: int) -> Iterator[dict[str, object]]:
                 "out_of_scope": "not about how the car drives",
                 "unclear": "cannot be told: ask",
             }.get(slots.outcome, "wants " + ", ".join(heard))
-            if slots.outcome == "directive" and slots.wishes_nothing():
+            if slots.outcome == "directive" and slots.is_empty():
                 continue
             yield {
                 "command": text[:1].upper() + text[1:],

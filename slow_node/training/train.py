@@ -1,4 +1,4 @@
-"""Train the reader: low-rank delta of MiniLM and the heads, on generated commands.
+"""Train the intent parser: low-rank delta of MiniLM and the heads, on generated commands.
 
     python -m slow_node.training.train [--out FOLDER] [--size N] [--epochs N] [--seed N]
 
@@ -31,8 +31,8 @@ from torch.nn import functional
 from slow_node.evaluation.score import exam_texts, plain_text
 from slow_node.llm.embedding import DELTA, MAX_TOKENS, WEIGHTS_PACKAGE, package_file
 from slow_node.training.generate import Generator, Sample, Stock, load_stock
+from slow_node.understanding.intent_parser import BUCKETS, HEADS, grams
 from slow_node.understanding.numbers import in_digits
-from slow_node.understanding.reader import BUCKETS, HEADS, grams
 
 RANK, HIDDEN = 16, 96
 SLICES = {name: len(classes) for name, classes in HEADS.items()}

@@ -3,7 +3,7 @@
 Words below a thousand are known in English, German, French, Spanish, Italian, Portuguese and Dutch, up to 199 in
 Swedish, Polish and Finnish, the tens in some more languages. Slips of the keyboard ("9O", "eigthy") are mended, and a
 time of day is no number. What a number is for (a speed, a change of it, a time gap) is not decided here: see
-`slow_node.understanding.reader`.
+`slow_node.understanding.intent_parser`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def spelled(language: str) -> dict[int, tuple[str, ...]]:
 
 
 def in_digits(text: str) -> str:
-    """A text folded, its times of day as "clock" and its numbers from ten up in digits: what the reader reads."""
+    """A text folded, its times of day as "clock" and its numbers from ten up in digits: what the intent parser reads."""
     return _replaced(_prepared(text), lambda word, n: n >= 10 and word not in _COMMON_WORDS)
 
 

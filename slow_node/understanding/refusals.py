@@ -1,7 +1,7 @@
 """What must not rest on any model: commands that ask for harm or for other rules, recognised by their words.
 
 Every pattern is matched against the folded text (lower case, no accents). A danger that is denied ("don't hit him") is
-none. The rules know the main words of seven languages; the reader's own head stands beside them.
+none. The rules know the main words of seven languages; the intent parser's own head stands beside them.
 """
 
 from __future__ import annotations

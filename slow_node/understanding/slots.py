@@ -9,10 +9,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Outcome = Literal["directive", "refused", "out_of_scope", "unclear"]
 Speed = Literal["faster", "slower", "keep", "stop", "none"]
-LaneWish = Literal["left", "right", "leftmost", "rightmost", "keep", "none"]
+LaneSlot = Literal["left", "right", "leftmost", "rightmost", "keep", "none"]
 Gap = Literal["closer", "farther", "keep", "none"]
 
 MAX_REASONING_CHARS = 80
+FAR_OVER_LIMIT = 1.5
+"""A named speed up to this multiple of the limit is clamped to the limit; a higher one is refused."""
 NO_DECISION = {"reasoning", "say", "language"}
 """Fields that change nothing about what the car does."""
 
@@ -29,14 +31,14 @@ class Slots(BaseModel):
     outcome: Outcome
     speed: Speed = "none"
     target_speed_mps: float | None = Field(default=None, ge=0, le=1000, allow_inf_nan=False)
-    lane: LaneWish = "none"
+    lane: LaneSlot = "none"
     gap: Gap = "none"
     headway_s: float | None = Field(default=None, ge=0, le=60, allow_inf_nan=False)
     overtake: bool | None = None
     cancel: bool = False
     say: str = Field(default="", max_length=300)
     language: str = Field(default="en", exclude=True)
-    """Of the passenger's sentence, for our reply; told by the reader, never by the model."""
+    """Of the passenger's sentence, for our reply; told by the intent parser, never by the model."""
 
     def decision(self) -> dict[str, object]:
         """The slots that decide what the car does, for comparing two answers."""
@@ -44,7 +46,7 @@ class Slots(BaseModel):
             return {"outcome": self.outcome}
         return self.model_dump(exclude=NO_DECISION)
 
-    def wishes_nothing(self) -> bool:
+    def is_empty(self) -> bool:
         """A directive that asks for nothing at all."""
         return self.decision() == Slots(outcome="directive").decision()
 

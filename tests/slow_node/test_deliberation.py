@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from schemas.runtime.clock import NS
-from schemas.wire.messages import Command, Directive, Event, Lane, Observation, Reply
-from slow_node.deliberation import Call, Deliberation, Effect, Learn
-from slow_node.planning.directive import Plan, Refusal, plan_of
+from schemas.wire.messages import Command, Directive, Event, EventKind, Lane, Observation, Reason, Reply
+from slow_node.deliberation import Deliberation, Effect, Interpret, Remember
+from slow_node.interpreter import Interpretation
+from slow_node.planning.directive import Refusal, directive_of
 from slow_node.planning.replies import _ORDER, _SENTENCES, sentence
 from slow_node.planning.scene import Scene, encode_scene
-from slow_node.thinking import Verdict
 from slow_node.understanding.slots import Slots
 from tests import scenes
 from tests.scenes import car
@@ -65,21 +65,21 @@ class Ride:
 
     def say(self, slots: Slots | None, *, thinks_s: float = 0.0, reached: bool = True) -> list[Effect]:
         """A command that is understood so, or fails."""
-        call = next(e for e in self.hear() if isinstance(e, Call))
+        call = next(e for e in self.hear() if isinstance(e, Interpret))
         self.now_s += thinks_s
-        return self._keep(self.deliberation.on_verdict(call.id, Verdict(slots, "", reached), self._now()))
+        return self._keep(self.deliberation.on_interpretation(call.id, Interpretation(slots, "", reached), self._now()))
 
-    def tell(self, kind: Any, rule: str = "", *, number: int = -1) -> list[Effect]:
+    def tell(self, kind: str, rule: str | None = None, *, number: int = -1) -> list[Effect]:
         """The fast node reports about the newest directive, or the one of that number."""
         return self._keep(
             self.deliberation.on_event(
                 Event(
                     epoch=1,
                     stamp_ns=self._now(),
-                    kind=kind,
+                    kind=EventKind(kind),
                     node="fast",
                     tick=0,
-                    rule=rule,
+                    rule=Reason(rule) if rule else None,
                     directive_id=self.directives[number].id,
                 ),
                 self._now(),
@@ -104,7 +104,7 @@ class Ride:
 
     @property
     def learnt(self) -> list[str]:
-        return [e.outcome for e in self.out if isinstance(e, Learn)]
+        return [e.outcome for e in self.out if isinstance(e, Remember)]
 
     def _now(self) -> int:
         return round(self.now_s * NS)
@@ -189,30 +189,29 @@ def test_a_wished_gap_is_held_after_it_was_reached() -> None:
     assert ride.outcomes == ["heard", "issued", "fulfilled"]
 
 
-# --- thinking again ------------------------------------------------------------------------------------------------
+# --- planning again ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["delayed", "vetoed"])
-def test_an_overtake_that_is_held_up_is_thought_about_again(kind: str) -> None:
+def test_an_overtake_that_is_delayed_is_planned_again() -> None:
     ride = riding(HURRY, 1, (1, 40.0, 10.0))
-    assert [d.reasoning for d in directives(ride.tell(kind, "rear gap in lane"))] == [
-        f"again: {kind} by the fast system (rear gap in lane)"
+    assert [d.reasoning for d in directives(ride.tell("delayed", "rear gap in lane"))] == [
+        "again: delayed by the fast system (rear gap in lane)"
     ]
 
 
-def test_an_overtake_is_thought_about_again_when_its_lane_is_clear_again() -> None:
+def test_an_overtake_is_planned_again_when_its_lane_is_clear_again() -> None:
     ride = riding(HURRY, 1, (1, 40.0, 10.0), (0, 5.0, 15.0))
     assert ride.look(1, (1, 40.0, 10.0), (0, 6.0, 15.0)) == []
     assert [d.reasoning for d in directives(ride.look(1, (1, 40.0, 10.0)))] == ["again: lane 0 is clear again"]
 
 
-def test_an_overtake_is_thought_about_again_when_its_car_is_passed() -> None:
+def test_an_overtake_is_planned_again_when_its_car_is_passed() -> None:
     ride = riding(HURRY, 1, (1, 40.0, 10.0))
     ride.look(0, (1, 2.0, 10.0))
     assert [d.reasoning for d in directives(ride.look(0, (1, -20.0, 10.0)))] == ["again: the car ahead is passed"]
 
 
-def test_it_thinks_again_at_most_once_in_three_seconds_and_forgets_nothing() -> None:
+def test_it_plans_again_at_most_once_in_three_seconds_and_forgets_nothing() -> None:
     ride = riding(HURRY, 1, (1, 40.0, 10.0))
     for _ in range(20):
         ride.tell("delayed", "rear gap in lane")
@@ -225,7 +224,7 @@ def test_it_thinks_again_at_most_once_in_three_seconds_and_forgets_nothing() -> 
 def test_a_plan_that_stays_the_same_is_not_said_again() -> None:
     ride = riding(LEFT, 1)
     assert ride.tell("delayed", "rear gap in lane") == []
-    assert ride.deliberation.figures["rethoughts"] == 1
+    assert ride.deliberation.figures["replans"] == 1
 
 
 def test_a_hurry_overtakes_once_a_slow_car_is_ahead() -> None:
@@ -242,11 +241,11 @@ def test_while_it_faces_oncoming_traffic_nothing_but_the_way_home_is_asked_for()
     assert ride.tell("delayed", "rear gap in lane") == []
 
 
-def test_a_new_command_is_thought_about_with_what_is_being_held_up() -> None:
+def test_a_new_command_is_interpreted_with_what_is_being_delayed() -> None:
     ride = riding(HURRY, 1, (1, 40.0, 10.0))
     ride.tell("delayed", "rear gap in lane")
-    call = next(e for e in ride.hear() if isinstance(e, Call))
-    assert (call.intent, call.veto) == ("overtake", "rear gap in lane")
+    call = next(e for e in ride.hear() if isinstance(e, Interpret))
+    assert (call.delayed, call.delayed_by) == ("overtake", "rear gap in lane")
 
 
 def test_a_hurry_passes_the_second_slow_car_too_and_ends_on_its_own_side() -> None:
@@ -358,7 +357,7 @@ def test_a_replaced_intent_issues_nothing_more() -> None:
     assert {d.manoeuvre for d in ride.directives[1:]} == {"cruise"}
 
 
-def test_what_cannot_be_thought_about_is_said_in_the_language_last_spoken() -> None:
+def test_what_cannot_be_interpreted_is_said_in_the_language_last_spoken() -> None:
     ride = riding(HURRY, 1)
     ride.say(None, reached=False)
     ride.say(None)
@@ -375,7 +374,7 @@ def test_every_sentence_is_known_in_every_language() -> None:
 # --- gates ---------------------------------------------------------------------------------------------------------
 
 
-def test_without_a_recent_scene_a_command_is_refused_unthought() -> None:
+def test_without_a_recent_scene_a_command_is_refused_uninterpreted() -> None:
     ride = riding(HURRY, 1)
     ride.now_s += 10.1
     ride.hear()
@@ -401,9 +400,9 @@ def test_the_road_is_checked_before_the_age_of_the_scene() -> None:
 def test_a_command_older_than_ten_seconds_is_refused_and_replaces_nothing() -> None:
     ride = Ride()
     ride.look(1)
-    call = next(e for e in ride.hear() if isinstance(e, Call))
+    call = next(e for e in ride.hear() if isinstance(e, Interpret))
     ride.hear(old_s=10.1)
-    ride.deliberation.on_verdict(call.id, Verdict(LEFT), ride._now())
+    ride.deliberation.on_interpretation(call.id, Interpretation(LEFT), ride._now())
     assert ride.outcomes == ["heard", "refused"]
     assert ride.replies[-1].why == "the command came 10 s late"
 
@@ -437,7 +436,7 @@ WIDE = (lane(-1, "oncoming"), lane(-1, "oncoming"), lane(), lane())
 def test_a_wished_lane_is_one_to_drive_in_or_refused(
     wish: Any, ego: int, lanes: tuple[Lane, ...], expected: int | str
 ) -> None:
-    plan = plan_of(Slots(outcome="directive", lane=wish), scene(ego, lanes=lanes))
+    plan = directive_of(Slots(outcome="directive", lane=wish), scene(ego, lanes=lanes))
     assert (plan.say if isinstance(plan, Refusal) else plan.target_lane) == (
         sentence(expected, "en") if isinstance(expected, str) else expected
     )
@@ -457,13 +456,38 @@ def test_a_wished_lane_is_one_to_drive_in_or_refused(
 )
 @pytest.mark.parametrize("speed", [0.0, 0.5, 15.0, 25.0])
 def test_a_target_speed_lies_between_standstill_and_the_limit(wish: dict[str, Any], speed: float) -> None:
-    plan = plan_of(Slots.model_validate({"outcome": "directive", **wish}), scene(1, speed=speed))
-    assert isinstance(plan, Plan)
+    plan = directive_of(Slots.model_validate({"outcome": "directive", **wish}), scene(1, speed=speed))
+    assert isinstance(plan, Directive)
     assert plan.target_speed_mps is not None
     assert 0.0 <= plan.target_speed_mps <= (min(speed, LIMIT) if wish.get("speed") == "slower" else LIMIT)
+
+
+def ramp_ahead(end_m: float) -> tuple[Lane, ...]:
+    """Two lanes that go on, and a ramp that ends."""
+    return (lane(), lane(), lane(kind="ramp", end_m=end_m))
+
+
+def test_on_a_ramp_the_lane_to_go_on_in_is_the_one_beside_it() -> None:
+    assert scene(2, lanes=ramp_ahead(100.0)).home_lane == 1
+
+
+def test_on_a_ramp_the_lead_is_the_car_ahead_on_the_ramp() -> None:
+    lead = scene(2, (1, 20.0, 15.0), (2, 40.0, 12.0), lanes=ramp_ahead(200.0)).lead
+    assert lead is not None
+    assert lead.id == 2
+
+
+@pytest.mark.parametrize(
+    ("slots", "expected"), [(LEFT, 1), (HURRY, 1), (Slots(outcome="directive", lane="keep"), None)]
+)
+def test_from_a_ramp_the_ego_is_sent_to_the_lane_beside_it_and_never_kept_on_it(
+    slots: Slots, expected: int | None
+) -> None:
+    planned = directive_of(slots, scene(2, (2, 40.0, 10.0), lanes=ramp_ahead(200.0)))
+    assert (planned.target_lane if isinstance(planned, Directive) else None) == expected
 
 
 @pytest.mark.parametrize(("speed", "key"), [(25.0, "limit"), (20.0, None)])
 def test_a_speed_cut_to_the_limit_is_said_to_be_whatever_the_model_says(speed: float, key: str | None) -> None:
     slots = Slots(outcome="directive", target_speed_mps=speed, say="Gerne!", language="de")
-    assert plan_of(slots, scene(1)).say == (sentence(key, "de") if key else "Gerne!")
+    assert directive_of(slots, scene(1)).say == (sentence(key, "de") if key else "Gerne!")

@@ -17,16 +17,16 @@ import pytest
 
 from schemas.runtime.bus import LocalBus, Subscription
 from schemas.wire import topics
-from schemas.wire.messages import Directive, Event, Lane, Observation, Reply
+from schemas.wire.messages import Directive, Event, EventKind, Lane, Observation, Reply
 from slow_node.config import SlowConfig
 from slow_node.llm.embedding import load_embedder
 from slow_node.memory.bank import Memory
 from slow_node.node import build
-from slow_node.planning.directive import ParseError, Plan, parse_answer, plan_of
+from slow_node.planning.directive import ParseError, directive_of, parse_answer
 from slow_node.planning.replies import sentence
 from slow_node.planning.scene import describe, encode_scene
+from slow_node.understanding.intent_parser import on_the_side_said
 from slow_node.understanding.numbers import quantities
-from slow_node.understanding.reader import on_the_side_said
 from slow_node.understanding.refusals import unsafe
 from slow_node.understanding.slots import Slots
 from tests import scenes
@@ -68,7 +68,7 @@ def play(
     *steps: Step,
     budget_s: float = 4.0,
     embedded: bool = False,
-    reader: bool = False,
+    parser: bool = False,
     asked: Callable[[], object] = lambda: False,
 ) -> tuple[list[Reply], list[Directive]]:
     """Run the node on an in-process bus; what it published.
@@ -86,7 +86,7 @@ def play(
             memory_path=bank,
             budget_s=budget_s,
             embedded=embedded,
-            reader=reader,
+            parser=parser,
             api_key_env="FASTSLOW_NO_KEY",
         ),
     )
@@ -106,7 +106,7 @@ def play(
         for step in steps:
             before, last = rounds, step is steps[-1]
             step(bus)
-            while rounds < before + 2 or ((node._thought or node._chores) and (last or not asked())):
+            while rounds < before + 2 or ((node._interpretation or node._chores) and (last or not asked())):
                 await asyncio.sleep(0.01)
             heard.extend(replies.take())
             seen.extend(directives.take())
@@ -213,7 +213,7 @@ def test_overtaking_returns_and_ends_on_our_own_side(model: ScriptedModel, bank:
                 Event(
                     epoch=1,
                     stamp_ns=time.monotonic_ns(),
-                    kind="fulfilled",
+                    kind=EventKind.FULFILLED,
                     node="fast",
                     tick=tick,
                     directive_id=ids[-1],
@@ -272,10 +272,13 @@ ROUND = ((45, 1, 20), (30, 0, 24), (60, 0, 24), (-30, 0, 28), (-25, 2, 22), (4, 
 
 
 def described(
-    lanes: tuple[Lane, ...] = HIGHWAY, cars: tuple[tuple[float, int, float], ...] = (), lane: int = 1, veto: str = ""
+    lanes: tuple[Lane, ...] = HIGHWAY,
+    cars: tuple[tuple[float, int, float], ...] = (),
+    lane: int = 1,
+    delayed_by: str = "",
 ) -> str:
     rows = [car(i, *where) for i, where in enumerate(((0, lane, 25), *cars))]
-    return describe(encode_scene(scenes.observation(*rows, lanes=lanes)), veto)
+    return describe(encode_scene(scenes.observation(*rows, lanes=lanes)), delayed_by)
 
 
 def test_an_empty_road_is_described_by_its_lanes() -> None:
@@ -301,27 +304,27 @@ def test_a_ramp_that_ends_is_described_as_such() -> None:
     assert described(lanes, lane=2).endswith("; lane 2 is a ramp; our lane ends in 120 m")
 
 
-def test_what_was_just_vetoed_is_described_with_its_rule() -> None:
-    assert described(veto="left by rear gap").endswith("; just vetoed: left by rear gap")
+def test_what_was_just_delayed_is_described_with_its_rule() -> None:
+    assert described(delayed_by="rear gap in lane").endswith("; just delayed: rear gap in lane")
 
 
 def test_the_road_and_the_schema_are_gates() -> None:
     scene = encode_scene(observation())
-    faster = plan_of(Slots(outcome="directive", target_speed_mps=11.0), scene)
-    assert isinstance(faster, Plan)
+    faster = directive_of(Slots(outcome="directive", target_speed_mps=11.0), scene)
+    assert isinstance(faster, Directive)
     assert faster.target_speed_mps == 8.0
-    assert not isinstance(plan_of(Slots(outcome="directive", lane="right"), scene), Plan)
+    assert not isinstance(directive_of(Slots(outcome="directive", lane="right"), scene), Directive)
     with pytest.raises(ParseError, match="speed"):
         parse_answer('{"outcome":"directive","speed":"ludicrous"}')
 
 
 def test_a_wish_to_overtake_says_so_where_nobody_slow_is_ahead() -> None:
-    far = plan_of(Slots(outcome="directive", overtake=True), encode_scene(observation(lead_x=120.0)))
-    near = plan_of(Slots(outcome="directive", overtake=True), encode_scene(observation(lead_x=25.0)))
+    far = directive_of(Slots(outcome="directive", overtake=True), encode_scene(observation(lead_x=120.0)))
+    near = directive_of(Slots(outcome="directive", overtake=True), encode_scene(observation(lead_x=25.0)))
     assert (far.say, near.say) == (sentence("nobody_ahead", "en"), sentence("overtake", "en"))
 
 
-def test_a_superseded_thought_hangs_up(bank: str) -> None:
+def test_a_superseded_interpretation_hangs_up(bank: str) -> None:
     with FaultyServer("hang", answer()) as server:
         replies, _ = play(
             server.url, bank, look(), say("first things first"), say("a little slower"), asked=lambda: server.bodies
@@ -361,7 +364,14 @@ def test_the_smallest_time_to_collision_until_the_outcome_is_remembered(model: S
     def fulfil(bus: LocalBus) -> None:
         bus.publish(
             topics.EVENT,
-            Event(epoch=1, stamp_ns=time.monotonic_ns(), kind="fulfilled", node="fast", tick=3, directive_id=ids[-1]),
+            Event(
+                epoch=1,
+                stamp_ns=time.monotonic_ns(),
+                kind=EventKind.FULFILLED,
+                node="fast",
+                tick=3,
+                directive_id=ids[-1],
+            ),
         )
 
     path = str(tmp_path / "bank.sqlite")

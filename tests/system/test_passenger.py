@@ -11,7 +11,7 @@ import pytest
 from deploy.bench.passenger import COMMANDS, NODES, lines, measure
 from schemas.wire.messages import Directive, Reply
 from slow_node.llm.embedding import load_embedder
-from slow_node.understanding.reader import Reader
+from slow_node.understanding.intent_parser import IntentParser
 from tests.scripted import model_of
 
 ANSWERS: tuple[dict[str, object], ...] = (
@@ -45,8 +45,8 @@ def model_env(request: pytest.FixtureRequest) -> Iterator[dict[str, str]]:
 def test_the_ten_commands_go_as_expected_on_the_running_system(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, model_env: dict[str, str]
 ) -> None:
-    if Reader.load(load_embedder()) is None:
-        pytest.skip("MiniLM or the reader's weights are not installed")
+    if IntentParser.load(load_embedder()) is None:
+        pytest.skip("MiniLM or the parser's weights are not installed")
     monkeypatch.chdir(tmp_path)
     result = measure(tmp_path, spacing_s=0.3, without=("llm",), model_env=model_env)
     assert [row["text"] for row in result["rows"] if not row["as_expected"]] == []

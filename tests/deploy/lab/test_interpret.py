@@ -1,4 +1,4 @@
-"""`fastslow interpret` and `fastslow memory`: what goes in, what comes out, and what the reader understands."""
+"""`fastslow interpret` and `fastslow memory`: what goes in, what comes out, and what the intent parser understands."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ from typer.testing import CliRunner
 from deploy.cli.app import app
 from deploy.lab.interpret import DEFAULT_SCENE, LineError, scene_of
 from deploy.lab.interpret_score import labelled_set
+from schemas.wire.messages import Directive
 from slow_node.llm.embedding import load_embedder
-from slow_node.planning.directive import Plan, Refusal, plan_of
+from slow_node.planning.directive import Refusal, directive_of
 from slow_node.planning.replies import sentence
 from slow_node.training.generate import Frame, Generator, Sample, Stock, in_scenes, load_stock
-from slow_node.understanding.reader import HEADS, Reader
+from slow_node.understanding.intent_parser import HEADS, IntentParser
 from slow_node.understanding.slots import Slots
 
 run = CliRunner()
 
 
 @pytest.fixture(scope="module")
-def reader() -> Reader:
-    found = Reader.load(load_embedder())
+def parser() -> IntentParser:
+    found = IntentParser.load(load_embedder())
     if found is None:
-        pytest.skip("MiniLM or the reader's weights are not installed")
+        pytest.skip("MiniLM or the parser's weights are not installed")
     return found
 
 
@@ -40,7 +41,7 @@ def interpret(text: str, *options: str) -> list[dict[str, object]]:
     return [json.loads(line) for line in result.stdout.splitlines()]
 
 
-def test_every_line_yields_one_line_with_all_its_keys(reader: Reader, tmp_path: Path) -> None:
+def test_every_line_yields_one_line_with_all_its_keys(parser: IntentParser, tmp_path: Path) -> None:
     scene = tmp_path / "scene.json"
     scene.write_text(json.dumps({"lanes": 2, "ego_lane": 0, "vehicles": []}))
     lines = [
@@ -129,14 +130,14 @@ def test_the_default_scene_is_the_one_of_the_labels() -> None:
     ],
 )
 def test_the_road_decides_what_becomes_of_a_wish(slots: dict[str, object], outcome: str) -> None:
-    plan = plan_of(Slots.model_validate({"outcome": "directive", **slots}), scene_of(DEFAULT_SCENE))
+    plan = directive_of(Slots.model_validate({"outcome": "directive", **slots}), scene_of(DEFAULT_SCENE))
     assert (plan.outcome if isinstance(plan, Refusal) else "directive") == outcome
-    if isinstance(plan, Plan):
+    if isinstance(plan, Directive):
         assert plan.target_speed_mps is None or plan.target_speed_mps <= 33.0
         assert plan.target_lane in (None, 1, 3)
 
 
-def test_replies_are_in_the_passengers_language(reader: Reader) -> None:
+def test_replies_are_in_the_passengers_language(parser: IntentParser) -> None:
     rows = interpret(
         "\n".join(
             json.dumps({"id": n, "text": text})

@@ -16,7 +16,7 @@ from deploy.run.processes import free_port
 from schemas.runtime.bus import BusConfig, BusError, LocalBus, Subscription, ZenohBus, open_bus
 from schemas.runtime.clock import NS
 from schemas.wire import topics
-from schemas.wire.messages import Command, Directive, Event
+from schemas.wire.messages import Command, Directive, Event, EventKind
 from schemas.wire.topics import Topic
 from tests.waiting import PATIENCE_S, until
 
@@ -55,7 +55,7 @@ def publish_until(publish: Callable[[], None], arrived: Callable[[], object]) ->
 
 def passed(sender: ZenohBus, *receivers: ZenohBus) -> None:
     """Wait until all that `sender` has published so far is with the receivers: no message overtakes another."""
-    mark = Event(epoch=0, stamp_ns=time.monotonic_ns(), kind="world", node="test", tick=0)
+    mark = Event(epoch=0, stamp_ns=time.monotonic_ns(), kind=EventKind.WORLD, node="test", tick=0)
 
     def has_it(reader: Subscription[Event]) -> bool:
         return mark in reader.take()

@@ -18,8 +18,7 @@ from schemas.wire.messages import Lane, MetaAction, Observation
 from sim_node.scenarios import SCENARIOS
 from slow_node.baselines.dilu import Bank, Experience, build_prompt, describe, explain, parse
 from slow_node.llm.embedding import HashedEmbedder
-from slow_node.llm.model import ModelTimeoutError
-from slow_node.planning.prompt import Chat
+from slow_node.llm.model import Chat, ModelTimeoutError
 from tests.scenes import HIGHWAY, TWO_WAY, car, lane, observation
 
 ROAD = HIGHWAY[:3]

@@ -17,7 +17,7 @@ from safetensors.numpy import load_file
 from deploy.run.processes import free_port
 from slow_node.llm.embedding import DELTA, WEIGHTS_PACKAGE, load_embedder, package_file
 from slow_node.training.generate import Generator, Sample, Stock, load_stock
-from slow_node.understanding.reader import Reader
+from slow_node.understanding.intent_parser import IntentParser
 from tests.waiting import until
 
 COMMANDS = 12
@@ -51,7 +51,7 @@ needs_minilm = pytest.mark.skipif(
 
 @needs_minilm
 @pytest.mark.slow
-def test_the_reader_learns_and_the_node_reads_with_what_was_written(
+def test_the_parser_learns_and_the_node_reads_with_what_was_written(
     stock: Stock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trainer = pytest.importorskip("slow_node.training.train", exc_type=ImportError)
@@ -59,9 +59,9 @@ def test_the_reader_learns_and_the_node_reads_with_what_was_written(
     trainer.train(tmp_path, COMMANDS, 1, 0)
     weights = load_file(tmp_path / DELTA.name)
     assert all(weights[name].any() for name in weights if name.endswith(".b"))  # they begin at zero
-    reader = Reader.load(load_embedder(tmp_path / DELTA.name))
-    assert reader is not None
-    read = reader.probabilities("overtake the car ahead")
+    parser = IntentParser.load(load_embedder(tmp_path / DELTA.name))
+    assert parser is not None
+    read = parser.probabilities("overtake the car ahead")
     assert [float(p.sum()) for p in read.values()] == pytest.approx([1.0] * len(read), abs=1e-3)
     figures = json.loads((tmp_path / DELTA.name).with_suffix(".json").read_text())["figures"]
     assert figures["held_out"] == COMMANDS
@@ -69,7 +69,7 @@ def test_the_reader_learns_and_the_node_reads_with_what_was_written(
 
 @needs_minilm
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_reader_to_the_bit_and_a_restart_another(
+def test_the_same_seed_gives_the_same_parser_to_the_bit_and_a_restart_another(
     stock: Stock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trainer = pytest.importorskip("slow_node.training.train", exc_type=ImportError)
@@ -113,7 +113,7 @@ def test_the_adapter_learns_and_the_engine_answers_with_what_was_written(
     shrunk(trainer, stock, monkeypatch)
     out = tmp_path / "adapter.gguf"
     trainer.train(out, 8, 0)
-    learnt = {t.name: np.array(t.data) for t in trainer.gguf.GGUFReader(out).tensors}
+    learnt = {t.name: np.array(t.data) for t in trainer.gguf.GGUFIntentParser(out).tensors}
     assert all(value.any() for name, value in learnt.items() if name.endswith(".lora_b"))  # they begin at zero
     assert json.loads(out.with_suffix(".json").read_text())["commands"] == 8
     config = json.dumps({"port": (port := free_port()), "polite": False})

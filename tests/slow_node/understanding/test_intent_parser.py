@@ -1,4 +1,4 @@
-"""The reader, its numbers and the rules beside it: what one sentence means."""
+"""The intent parser, its numbers and the refusals beside it: what one sentence means."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from slow_node.llm.embedding import load_embedder
+from slow_node.understanding.intent_parser import HEADS, IntentParser, _decided_by_number, grams, with_numbers
 from slow_node.understanding.numbers import SPELLING_LANGUAGES, in_digits, quantities, spelled
-from slow_node.understanding.reader import HEADS, Reader, _decided_by_number, grams, with_numbers
 from slow_node.understanding.refusals import unsafe
 from slow_node.understanding.slots import Slots, Speed
 
 
 @pytest.fixture(scope="module")
-def reader() -> Reader:
-    found = Reader.load(load_embedder())
+def parser() -> IntentParser:
+    found = IntentParser.load(load_embedder())
     if found is None:
-        pytest.skip("MiniLM or the reader's weights are not installed")
+        pytest.skip("MiniLM or the parser's weights are not installed")
     return found
 
 
@@ -212,14 +212,14 @@ def test_rules_hear_no_harm_where_none_is_meant(text: str) -> None:
     assert not unsafe(text)
 
 
-def test_probabilities_of_every_head_sum_to_one(reader: Reader) -> None:
-    found = reader.probabilities("go a little faster")
+def test_probabilities_of_every_head_sum_to_one(parser: IntentParser) -> None:
+    found = parser.probabilities("go a little faster")
     assert list(found) == list(HEADS)
     assert all(p.shape == (len(HEADS[name]),) and abs(float(p.sum()) - 1.0) < 1e-5 for name, p in found.items())
 
 
 @pytest.mark.slow
-def test_every_text_is_read_without_an_error(reader: Reader) -> None:
+def test_every_text_is_read_without_an_error(parser: IntentParser) -> None:
     r = random.Random(0)
     texts = [
         "",
@@ -232,7 +232,7 @@ def test_every_text_is_read_without_an_error(reader: Reader) -> None:
         "🚗🚗",
         *("".join(chr(r.randrange(32, 0x2FFF)) for _ in range(r.randrange(1, 60))) for _ in range(40)),
     ]
-    assert all(0.0 <= reader.read(text, 25.0, 33.0).refused <= 1.0 for text in texts)
+    assert all(0.0 <= parser.parse(text, 25.0, 33.0).refused <= 1.0 for text in texts)
 
 
 def test_grams_are_the_same_in_every_case() -> None:
@@ -251,5 +251,5 @@ def test_grams_are_the_same_in_every_case() -> None:
         ("never mind", "cancel", True),
     ],
 )
-def test_plain_wishes_are_understood(reader: Reader, text: str, slot: str, value: object) -> None:
-    assert getattr(reader.read(text, 25.0, 33.0).slots, slot) == value
+def test_plain_wishes_are_understood(parser: IntentParser, text: str, slot: str, value: object) -> None:
+    assert getattr(parser.parse(text, 25.0, 33.0).slots, slot) == value

@@ -1,4 +1,4 @@
-"""The slow node's thinking without the node: a thinker, and the embedded model's process where it may ask it."""
+"""The slow node's interpreter without the node, and the embedded model's process where it may ask it."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from deploy.run.launch import Launched
 from deploy.run.model_server import embedded_server
 from deploy.run.processes import choose_model
 from slow_node.config import SlowConfig
-from slow_node.node import build_thinker
-from slow_node.thinking import Thinker
+from slow_node.interpreter import Interpreter
+from slow_node.node import build_interpreter
 
 Ask = Literal["auto", "always", "unsure", "never"]
-"""When a thinker asks the language model."""
+"""When an interpreter asks the language model."""
 
 
 @contextlib.contextmanager
-def running_thinker(
+def running_interpreter(
     *,
     ask: Ask = "auto",
     k: int = 4,
-    reader: bool = True,
+    parser: bool = True,
     empty_bank: bool = False,
     threads: int = 1,
     adapter: bool = True,
     memory_path: str = "",
     budget_s: float = 8.0,
-) -> Iterator[Thinker]:
-    """A thinker and, where it may ask it, the embedded model's process. Raises `ConfigError`."""
+) -> Iterator[Interpreter]:
+    """An interpreter and, where it may ask it, the embedded model's process. Raises `ConfigError`."""
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that the model ends with us
     model = choose_model()
     server: Launched | None = None
@@ -39,9 +39,9 @@ def running_thinker(
         if model.embedded and ask != "never":
             server = embedded_server(model.port, threads, adapter=adapter)
             if server is None:
-                print("fastslow: the embedded model did not start; the reader answers alone", file=sys.stderr)
+                print("fastslow: the embedded model did not start; the intent parser answers alone", file=sys.stderr)
                 ask = "never"
-        thinker, memory, _ = build_thinker(
+        interpreter, memory, _ = build_interpreter(
             SlowConfig(
                 base_url=model.base_url,
                 model=model.name,
@@ -49,14 +49,14 @@ def running_thinker(
                 memory_path=memory_path,
                 ask=ask,
                 k=k,
-                reader=reader,
+                parser=parser,
                 seeds=not empty_bank,
                 adapter=adapter,
                 budget_s=budget_s,
             )
         )
         try:
-            yield thinker
+            yield interpreter
         finally:
             memory.close()
     finally:

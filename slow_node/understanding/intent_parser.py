@@ -1,4 +1,4 @@
-"""The reader: slots from a sentence by classification, in ten milliseconds and with calibrated probabilities.
+"""The intent parser: slots from a sentence by classification, in ten milliseconds and with calibrated probabilities.
 
 Linear heads on the token vectors of MiniLM (adapted by a low-rank delta, mean and maximum pooled) and on a hidden layer
 over hashed character and word n-grams, which know spelling and the languages that MiniLM hardly knows. Numbers are
@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slow_node.llm.embedding import Embedder, MiniLmEmbedder
-from slow_node.planning.directive import FAR_OVER_LIMIT
 from slow_node.understanding.numbers import Quantity, fold, in_digits, quantities
-from slow_node.understanding.slots import LaneWish, Slots
+from slow_node.understanding.slots import FAR_OVER_LIMIT, LaneSlot, Slots
 
 HEADS: dict[str, tuple[str, ...]] = {
     "outcome": ("directive", "refused", "out_of_scope", "unclear"),
@@ -49,8 +48,8 @@ def grams(text: str) -> NDArray[np.int64]:
 
 
 @dataclass(frozen=True)
-class Reading:
-    """What the reader makes of a sentence."""
+class Parsed:
+    """What the intent parser makes of a sentence."""
 
     slots: Slots
     confidence: float
@@ -59,8 +58,8 @@ class Reading:
     """Probability that the command is unsafe or an attempt on the system's rules."""
 
 
-class Reader:
-    """Reads a sentence. `load` gives None where MiniLM or the trained weights are not there."""
+class IntentParser:
+    """Parses a sentence. `load` gives None where MiniLM or the trained weights are not there."""
 
     def __init__(self, embedder: MiniLmEmbedder) -> None:
         self._embedder = embedder
@@ -68,12 +67,12 @@ class Reader:
         quantities("two hundred")  # builds the tables of number words, a fifth of a second, before anybody speaks
 
     @classmethod
-    def load(cls, embedder: Embedder) -> Reader | None:
+    def load(cls, embedder: Embedder) -> IntentParser | None:
         if isinstance(embedder, MiniLmEmbedder) and "dense.weight" in embedder.delta:
             return cls(embedder)
         return None
 
-    def read(self, command: str, speed_mps: float, limit_mps: float) -> Reading:
+    def parse(self, command: str, speed_mps: float, limit_mps: float) -> Parsed:
         """Slots, with numbers resolved against the ego's speed and the limit, both in m/s."""
         probabilities = self.probabilities(command)
         chosen = {name: int(np.argmax(p)) for name, p in probabilities.items()}
@@ -85,7 +84,7 @@ class Reader:
         if value["outcome"] == "unclear" and _decided_by_number(probabilities, value["number"], said):
             value["outcome"], sure = "directive", float(probabilities["outcome"][0])
         if value["outcome"] != "directive":
-            return Reading(Slots.model_validate({"outcome": value["outcome"], "language": language}), sure, refused)
+            return Parsed(Slots.model_validate({"outcome": value["outcome"], "language": language}), sure, refused)
         for name in HEADS:
             if name not in ("outcome", "language"):
                 sure *= float(probabilities[name][chosen[name]])
@@ -102,12 +101,12 @@ class Reader:
         )
         slots = on_the_side_said(slots, command)
         slots = with_numbers(slots, value["number"], said, speed_mps, limit_mps)
-        if slots.wishes_nothing():
+        if slots.is_empty():
             return self._likeliest(probabilities, language, refused)
-        return Reading(slots, sure, refused)
+        return Parsed(slots, sure, refused)
 
     @staticmethod
-    def _likeliest(probabilities: dict[str, NDArray[np.float32]], language: str, refused: float) -> Reading:
+    def _likeliest(probabilities: dict[str, NDArray[np.float32]], language: str, refused: float) -> Parsed:
         """For a directive whose every slot is more likely unasked: its likeliest wish, or that it is unclear."""
         wishes = [
             (float(p[i]), name, HEADS[name][i])
@@ -118,9 +117,9 @@ class Reader:
         chance, name, value = max(wishes)
         unclear = float(probabilities["outcome"][HEADS["outcome"].index("unclear")])
         if chance < max(unclear, LIKELY):
-            return Reading(Slots(outcome="unclear", language=language), unclear, refused)
+            return Parsed(Slots(outcome="unclear", language=language), unclear, refused)
         wish = {name: value == "true" if name in ("overtake", "cancel") else value}
-        return Reading(Slots.model_validate({"outcome": "directive", "language": language, **wish}), chance, refused)
+        return Parsed(Slots.model_validate({"outcome": "directive", "language": language, **wish}), chance, refused)
 
     def probabilities(self, command: str) -> dict[str, NDArray[np.float32]]:
         """Every head's distribution over its classes."""
@@ -150,7 +149,7 @@ def _decided_by_number(probabilities: dict[str, NDArray[np.float32]], role: str,
     )
 
 
-_OPPOSITE: dict[str, LaneWish] = {"left": "right", "right": "left", "leftmost": "rightmost", "rightmost": "leftmost"}
+_OPPOSITE: dict[str, LaneSlot] = {"left": "right", "right": "left", "leftmost": "rightmost", "rightmost": "leftmost"}
 _EAST_ASIAN = {
     "left": re.compile("\u5de6|\u3072\u3060\u308a|\uc67c\ucabd"),
     "right": re.compile("\u53f3|\u307f\u304e|\uc624\ub978\ucabd"),
@@ -195,7 +194,7 @@ def with_numbers(slots: Slots, role: str, said: list[Quantity], speed_mps: float
         role == "none"
         and speeds
         and speeds[-1] > FAR_OVER_LIMIT * limit_mps
-        and (slots.speed == "faster" or slots.wishes_nothing())
+        and (slots.speed == "faster" or slots.is_empty())
     ):
         target = speeds[-1]  # what is to be refused, however unsure it is that it was asked for
     if target == 0.0:

@@ -1,0 +1,176 @@
+"""What a command means, R_t = Phi(P_t) and i_t = Parse(R_t) (paper's Eqs. 6 to 9): a command and a scene in, slots out.
+
+Two read a command: the intent parser (`slow_node.understanding.intent_parser`, ten milliseconds, calibrated) and the
+language model with its recalled examples. An endpoint's answer leads, and the parser guards what is unsafe and stands
+in when the endpoint fails. The embedded model is small: there the parser leads, and the model is asked where the parser
+is unsure.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from dataclasses import dataclass
+from typing import Literal
+
+from slow_node.llm.model import ChatModel, ModelError, ModelTimeoutError
+from slow_node.memory.bank import Example, Memory
+from slow_node.planning.directive import UNSAFE_WHY, ParseError, cross_check, parse_answer
+from slow_node.planning.prompt import adapted_prompt, build_prompt, repair_prompt
+from slow_node.planning.scene import Scene, describe
+from slow_node.understanding.intent_parser import IntentParser, Parsed
+from slow_node.understanding.numbers import quantities
+from slow_node.understanding.refusals import unsafe
+from slow_node.understanding.slots import Slots, adapted_schema, answer_schema
+
+FROM_MEMORY_COSINE = 0.6
+FROM_MEMORY_WHY = "model unavailable: answered from memory"
+FROM_PARSER_WHY = "model unavailable: answered by the intent parser"
+SURE = 0.15
+"""From this confidence on, the intent parser's word is taken without asking the embedded model, which is right less
+often: docs/understanding.md."""
+REFUSE = 0.4
+"""From this probability on, a command is refused, whatever else the parser or the language model make of it."""
+EMBEDDED_BUDGET_S = 2.5
+"""What the embedded model may take where the intent parser has an answer already."""
+
+Ask = Literal["always", "unsure", "never"]
+Style = Literal["full", "short", "adapted"]
+"""Of the prompt: for a large model, for a small one, or as the embedded model's adapter has learnt it."""
+
+
+@dataclass(frozen=True)
+class Interpretation:
+    """What a command was found to mean: slots, or none and why."""
+
+    slots: Slots | None
+    why: str = ""
+    model_answered: bool = True
+    """False where no model could be reached and nothing else could help: a failure, not a refusal."""
+    model_ms: float = 0.0
+    source: str = ""
+    """Who decided: "refusals", "parser", "memory" or the language model's name."""
+    nearest: tuple[Example, ...] = ()
+
+
+class Interpreter:
+    """Refusals, intent parser, retrieval, prompt, model, one repair and cross-checks, inside one time budget."""
+
+    def __init__(
+        self,
+        memory: Memory,
+        model: ChatModel,
+        parser: IntentParser | None,
+        *,
+        style: Style,
+        k: int,
+        budget_s: float,
+        ask: Ask,
+    ) -> None:
+        self._memory, self._model, self._parser = memory, model, parser
+        self._style, self._k, self._budget_s, self._mode = style, k, budget_s, ask
+        self._schema = adapted_schema() if style == "adapted" else answer_schema(style == "short")
+
+    async def interpret(self, command: str, scene: Scene, delayed: str = "", delayed_by: str = "") -> Interpretation:
+        """What a command means. `delayed`: the manoeuvre asked for before that the fast node is delaying, `delayed_by`:
+        the rule. Never raises for a model's failure."""
+        started = time.monotonic()
+        parsed, nearest = await asyncio.to_thread(self._parse, command, scene)
+        if unsafe(command):
+            language = parsed.slots.language if parsed else "en"
+            slots = Slots(outcome="refused", reasoning="dangerous or forbidden words", language=language)
+            return Interpretation(slots, UNSAFE_WHY, source="refusals", nearest=nearest)
+        if parsed is not None and parsed.refused >= REFUSE and parsed.slots.outcome != "refused":
+            slots = Slots(outcome="refused", reasoning="may be dangerous", language=parsed.slots.language)
+            return Interpretation(slots, UNSAFE_WHY, source="parser", nearest=nearest)
+        if parsed is not None and not self._asks(parsed):
+            return Interpretation(_reasoned(parsed), source="parser", nearest=nearest)
+        text = describe(scene, delayed_by) + (f"; intent: {delayed}" if delayed else "")
+        budget_s = min(self._budget_s, EMBEDDED_BUDGET_S) if self._mode == "unsure" and parsed else self._budget_s
+        try:
+            slots = await self._ask(command, text, nearest, started + budget_s)
+        except ModelError as error:
+            return self._without_model(parsed, nearest, str(error))
+        except ParseError as error:
+            if parsed is not None:
+                return Interpretation(
+                    _reasoned(parsed),
+                    f"the model's answer cannot be used: {error}",
+                    source="parser",
+                    model_ms=_ms(started),
+                    nearest=nearest,
+                )
+            return Interpretation(
+                None, f"the model's answer cannot be used: {error}", model_ms=_ms(started), nearest=nearest
+            )
+        slots, why = self._checked(command, slots, parsed, nearest)
+        return Interpretation(slots, why, model_ms=_ms(started), source=self._model.name, nearest=nearest)
+
+    def _parse(self, command: str, scene: Scene) -> tuple[Parsed | None, tuple[Example, ...]]:
+        parsed = self._parser.parse(command, scene.speed_mps, scene.limit_mps) if self._parser else None
+        return parsed, tuple(self._memory.nearest(command, self._k))
+
+    def _asks(self, parsed: Parsed) -> bool:
+        return self._mode == "always" or (self._mode == "unsure" and parsed.confidence < SURE)
+
+    async def _ask(self, command: str, scene: str, nearest: tuple[Example, ...], due: float) -> Slots:
+        if self._style == "adapted":
+            answer = await self._model.complete(adapted_prompt(command), self._schema, due - time.monotonic())
+            return parse_answer(answer, _numbers(command))
+        chat = build_prompt(command, scene, nearest, self._schema, short=self._style == "short")
+        answer = await self._model.complete(chat, self._schema, due - time.monotonic())
+        try:
+            return parse_answer(answer)
+        except ParseError as error:
+            left = due - time.monotonic()
+            if left <= 0:
+                raise ModelTimeoutError("the model had no time left for a repair") from None
+            return parse_answer(await self._model.complete(repair_prompt(chat, answer, str(error)), self._schema, left))
+
+    def _checked(
+        self, command: str, slots: Slots, parsed: Parsed | None, nearest: tuple[Example, ...]
+    ) -> tuple[Slots, str]:
+        """The model's slots after the cross-checks, with the numbers that were said and no others."""
+        if parsed is None:
+            slots, why = cross_check(slots, nearest)
+            if self._style == "adapted":
+                return slots, why
+            said = quantities(command)
+            speeds = [q.value for q in said if q.kind == "speed"]
+            if not said or (slots.target_speed_mps is not None and speeds):
+                slots = slots.model_copy(update={"target_speed_mps": speeds[-1] if speeds else None})
+            return slots, why
+        slots = slots.model_copy(update={"language": parsed.slots.language})
+        if parsed.slots.outcome == "refused" and slots.outcome == "directive":
+            return slots.model_copy(update={"outcome": "refused", "say": ""}), "the intent parser found it unsafe"
+        if slots.outcome == "directive" and parsed.slots.outcome == "directive":
+            numbers = {"target_speed_mps": parsed.slots.target_speed_mps, "headway_s": parsed.slots.headway_s}
+            corrected = slots.model_copy(update=numbers)
+            return (slots if corrected.is_empty() else corrected), ""
+        return slots, ""
+
+    @staticmethod
+    def _without_model(parsed: Parsed | None, nearest: tuple[Example, ...], reason: str) -> Interpretation:
+        if parsed is not None:
+            return Interpretation(_reasoned(parsed), f"{FROM_PARSER_WHY} ({reason})", source="parser", nearest=nearest)
+        if nearest and nearest[0].cosine >= FROM_MEMORY_COSINE:
+            return Interpretation(nearest[0].slots, f"{FROM_MEMORY_WHY} ({reason})", source="memory", nearest=nearest)
+        return Interpretation(None, reason, model_answered=False, nearest=nearest)
+
+
+def _numbers(command: str) -> dict[str, float]:
+    """The last speed and the last time gap that are named."""
+    slots = {"speed": "target_speed_mps", "time": "headway_s"}
+    return {slots[q.kind]: q.value for q in quantities(command) if q.kind in slots}
+
+
+def _reasoned(parsed: Parsed) -> Slots:
+    """The intent parser's slots with its reasons: what it heard and how sure it is."""
+    slots = parsed.slots
+    heard = [f"{name} {value}" for name, value in slots.model_dump(exclude_defaults=True, exclude={"outcome"}).items()]
+    said = ", ".join(heard) if heard else slots.outcome.replace("_", " ")
+    return slots.model_copy(update={"reasoning": f"heard: {said} ({parsed.confidence:.0%} sure)"})
+
+
+def _ms(started: float) -> float:
+    return 1000.0 * (time.monotonic() - started)
