@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from slow_node.understanding.numbers import fold
+from slow_node.understanding.text import fold
 
 SCHEMA: Final = "fastslow.interpret-score/1"
 DEV_SET: Final = Path(__file__).with_name("dev.jsonl")

@@ -35,7 +35,9 @@ from torch.nn import functional
 from slow_node.evaluation.score import exam_texts, plain_text
 from slow_node.llm.embedded import ADAPTER, weights_path
 from slow_node.planning.prompt import adapted_prompt
-from slow_node.training.generate import Generator, Sample, load_stock, slots_of
+from slow_node.training.generate import slots_of
+from slow_node.training.generator import Generator
+from slow_node.training.stock import Sample, load_stock
 from slow_node.training.train import split
 
 RANK, ALPHA = 16, 32.0

@@ -30,7 +30,8 @@ from torch.nn import functional
 
 from slow_node.evaluation.score import exam_texts, plain_text
 from slow_node.llm.embedding import DELTA, MAX_TOKENS, WEIGHTS_PACKAGE, package_file
-from slow_node.training.generate import Generator, Sample, Stock, load_stock
+from slow_node.training.generator import Generator
+from slow_node.training.stock import Sample, Stock, load_stock
 from slow_node.understanding.intent_parser import BUCKETS, HEADS, grams
 from slow_node.understanding.numbers import in_digits
 

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slow_node.llm.embedding import Embedder, MiniLmEmbedder
-from slow_node.understanding.numbers import Quantity, fold, in_digits, quantities
+from slow_node.understanding.numbers import Quantity, in_digits, quantities
 from slow_node.understanding.slots import FAR_OVER_LIMIT, LaneSlot, Slots
+from slow_node.understanding.text import fold
 
 HEADS: dict[str, tuple[str, ...]] = {
     "outcome": ("directive", "refused", "out_of_scope", "unclear"),

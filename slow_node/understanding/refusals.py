@@ -11,7 +11,7 @@ import tomllib
 from pathlib import Path
 from typing import NamedTuple
 
-from slow_node.understanding.numbers import fold
+from slow_node.understanding.text import fold
 
 
 class RefusedWords(NamedTuple):

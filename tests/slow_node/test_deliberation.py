@@ -12,7 +12,7 @@ from schemas.wire.messages import Command, Directive, Event, EventKind, Lane, Ob
 from slow_node.deliberation import Deliberation, Effect, Interpret, Remember
 from slow_node.interpreter import Interpretation
 from slow_node.planning.directive import Refusal, directive_of
-from slow_node.planning.replies import _ORDER, _SENTENCES, sentence
+from slow_node.planning.replies import SENTENCES, sentence
 from slow_node.planning.scene import Scene, encode_scene
 from slow_node.understanding.slots import Slots
 from tests import scenes
@@ -368,7 +368,9 @@ def test_what_cannot_be_interpreted_is_said_in_the_language_last_spoken() -> Non
 
 
 def test_every_sentence_is_known_in_every_language() -> None:
-    assert {len(sentences) for sentences in _SENTENCES.values()} == {len(_ORDER)}
+    languages = SENTENCES["done"].keys()
+    assert all(sentences.keys() == languages for sentences in SENTENCES.values())
+    assert len(languages) == 7
 
 
 # --- gates ---------------------------------------------------------------------------------------------------------

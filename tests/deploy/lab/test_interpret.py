@@ -19,7 +19,9 @@ from schemas.wire.messages import Directive
 from slow_node.llm.embedding import load_embedder
 from slow_node.planning.directive import Refusal, directive_of
 from slow_node.planning.replies import sentence
-from slow_node.training.generate import Frame, Generator, Sample, Stock, in_scenes, load_stock
+from slow_node.training.generate import in_scenes
+from slow_node.training.generator import Generator
+from slow_node.training.stock import Frame, Sample, Stock, load_stock
 from slow_node.understanding.intent_parser import HEADS, IntentParser
 from slow_node.understanding.slots import Slots
 

@@ -16,7 +16,8 @@ from safetensors.numpy import load_file
 
 from deploy.run.processes import free_port
 from slow_node.llm.embedding import DELTA, WEIGHTS_PACKAGE, load_embedder, package_file
-from slow_node.training.generate import Generator, Sample, Stock, load_stock
+from slow_node.training.generator import Generator
+from slow_node.training.stock import Sample, Stock, load_stock
 from slow_node.understanding.intent_parser import IntentParser
 from tests.waiting import until
 

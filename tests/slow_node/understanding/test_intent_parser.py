@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import random
+import re
 
 import numpy as np
 import pytest
 
 from slow_node.llm.embedding import load_embedder
 from slow_node.understanding.intent_parser import HEADS, IntentParser, _decided_by_number, grams, with_numbers
-from slow_node.understanding.numbers import SPELLING_LANGUAGES, in_digits, quantities, spelled
+from slow_node.understanding.number_words import SPELLING_LANGUAGES, spelled
+from slow_node.understanding.numbers import UNITS, Unit, in_digits, quantities
 from slow_node.understanding.refusals import unsafe
 from slow_node.understanding.slots import Slots, Speed
 
@@ -63,6 +65,14 @@ def test_numbers_from_ten_up_are_read_in_digits(text: str, read: str) -> None:
 def test_numbers_are_read_with_their_units(text: str, value: float, kind: str) -> None:
     found = quantities(text)[-1]
     assert (found.value, found.kind) == (pytest.approx(value, abs=0.01), kind)
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.name)
+def test_a_unit_is_known_by_its_own_words_and_by_no_others(unit: Unit) -> None:
+    said = re.compile(rf"\d+ (?:{unit.pattern})(?![a-z])")
+    assert said.search(unit.matches)
+    assert quantities(unit.matches)[0].kind == unit.kind
+    assert not said.search(unit.passes)
 
 
 @pytest.mark.parametrize("language", SPELLING_LANGUAGES)

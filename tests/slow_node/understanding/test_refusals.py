@@ -6,8 +6,8 @@ import re
 
 import pytest
 
-from slow_node.understanding.numbers import fold
 from slow_node.understanding.refusals import REFUSALS, RefusedWords, unsafe
+from slow_node.understanding.text import fold
 
 EACH = pytest.mark.parametrize(
     ("group", "row"),
