@@ -22,12 +22,12 @@ class SlowConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """SQLite file of the memory bank; empty: a bank that ends with the process."""
     budget_s: float = 8.0
     k: int = 4
-    """Examples recalled for a thought; 0: none."""
+    """Examples recalled for the language model; 0: none."""
     ask: Literal["auto", "always", "unsure", "never"] = "auto"
     """When the language model is asked; `auto`: an endpoint always, the embedded model where the parser is unsure."""
     parser: bool = True
     """False: without the trained intent parser, the language model alone (for measurements)."""
-    seeds: bool = True
+    shipped_examples: bool = True
     """False: the memory bank starts empty (for measurements)."""
 
     def __post_init__(self) -> None:

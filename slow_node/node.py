@@ -19,7 +19,7 @@ from slow_node.interpreter import Interpretation, Interpreter, Style
 from slow_node.llm.embedding import load_embedder
 from slow_node.llm.model import MAX_TOKENS, MAX_TOKENS_SHORT, ChatModel
 from slow_node.memory.bank import Memory
-from slow_node.memory.examples import SEEDS
+from slow_node.memory.examples import EXAMPLES
 from slow_node.planning.scene import describe, encode_scene
 from slow_node.understanding.intent_parser import IntentParser
 
@@ -139,7 +139,7 @@ def build(bus: Bus, config: SlowConfig) -> tuple[SlowNode, Memory]:
 def build_interpreter(config: SlowConfig) -> tuple[Interpreter, Memory, ChatModel]:
     """What interprets commands, without the bus: the caller closes the memory and the model."""
     embedder = load_embedder()
-    memory = Memory(embedder, config.memory_path, SEEDS if config.seeds else None)
+    memory = Memory(embedder, config.memory_path, EXAMPLES if config.shipped_examples else None)
     key = "" if config.embedded else os.environ.get(config.api_key_env, "")
     if not key and not config.embedded:
         log(NAME, "key", f"{config.api_key_env} is not set; calling {config.base_url} without a key")

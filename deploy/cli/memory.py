@@ -58,14 +58,14 @@ def _seconds(value: float | None) -> str:
 def list_(
     bank: Bank = None,
     as_json: Json = False,
-    seeds: Annotated[bool, typer.Option("--seeds", help="What was shipped as well.")] = False,
+    shipped: Annotated[bool, typer.Option("--shipped", help="What was shipped as well.")] = False,
 ) -> None:
     """What was learnt on the road.
 
     A line is: id, how often fulfilled, last outcome, its time, smallest time to collision, command, decision.
     """
     with _bank(bank) as memory:
-        rows = [_row(e) for e in memory.examples() if seeds or not e.seed]
+        rows = [_row(e) for e in memory.examples() if shipped or not e.shipped]
     if as_json:
         typer.echo(json.dumps(rows, ensure_ascii=False))
         return
@@ -98,7 +98,7 @@ def forget(
     with _bank(bank) as memory:
         gone = memory.forget(identity)
     if not gone:
-        typer.echo(f"fastslow: there is no example {identity}; see: fastslow memory list --seeds", err=True)
+        typer.echo(f"fastslow: there is no example {identity}; see: fastslow memory list --shipped", err=True)
         raise typer.Exit(1)
 
 
@@ -106,7 +106,7 @@ def forget(
 def export(target: Annotated[str, typer.Argument(help='A file, or "-".')] = "-", bank: Bank = None) -> None:
     """Write what was learnt as JSON lines."""
     with _bank(bank) as memory:
-        lines = "".join(json.dumps(_row(e), ensure_ascii=False) + "\n" for e in memory.examples() if not e.seed)
+        lines = "".join(json.dumps(_row(e), ensure_ascii=False) + "\n" for e in memory.examples() if not e.shipped)
     if target == "-":
         sys.stdout.write(lines)
     else:

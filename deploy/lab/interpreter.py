@@ -50,7 +50,7 @@ def running_interpreter(
                 ask=ask,
                 k=k,
                 parser=parser,
-                seeds=not empty_bank,
+                shipped_examples=not empty_bank,
                 adapter=adapter,
                 budget_s=budget_s,
             )

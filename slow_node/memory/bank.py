@@ -1,7 +1,7 @@
 """The memory bank D and its retrieval M_t (paper's Eq. 6): SQLite on disk, exact cosine in NumPy.
 
 Sentences are embedded from the command alone: similar wishes, not similar roads, are what the answer depends on; the
-scene travels with the example as text. Only the shipped seeds may overrule the model (see
+scene travels with the example as text. Only the shipped examples may overrule the model (see
 `slow_node.planning.directive`): what was learnt on the road came from the model itself.
 """
 
@@ -20,10 +20,11 @@ from pydantic import BaseModel, Field
 from schemas.driving.measures import INF
 from schemas.runtime.process import ConfigError
 from slow_node.llm.embedding import DIMENSION, Embedder, Vector
-from slow_node.memory.examples import SEEDS, embed_command, read_seeds, shipped_vectors
+from slow_node.memory.examples import EXAMPLES, embed_command, read_shipped, shipped_vectors
 from slow_node.understanding.slots import Slots
 
-SEED = "seed"
+SHIPPED = "seed"
+"""The outcome of an example that is shipped, as banks and their exports have it."""
 GIVEN_UP = ("superseded", "cancelled")
 MAX_LEARNT = 2000
 """The bank's bound: beyond it the oldest learnt example goes."""
@@ -40,7 +41,7 @@ class Example:
     command: str
     scene: str
     slots: Slots
-    outcome: str = SEED
+    outcome: str = SHIPPED
     """What came of it the last time: "seed" for what is shipped, else "fulfilled", "expired, held up by RULE", ..."""
     took_s: float = 0.0
     """From the directive to its end, the last time."""
@@ -55,8 +56,8 @@ class Example:
     id: int = 0
 
     @property
-    def seed(self) -> bool:
-        return self.outcome == SEED
+    def shipped(self) -> bool:
+        return self.outcome == SHIPPED
 
     @property
     def warning(self) -> str:
@@ -130,8 +131,8 @@ class Row(BaseModel):
         )
 
     def learnt(self) -> Example:
-        """To be merged into a bank. Raises ValueError for a seed: those are shipped, and never learnt."""
-        if self.outcome == SEED:
+        """To be merged into a bank. Raises ValueError for a shipped one: those are never learnt."""
+        if self.outcome == SHIPPED:
             raise ValueError('outcome "seed" is what the shipped examples have; say what came of it, e.g. "fulfilled"')
         once = experience(
             self.command,
@@ -149,10 +150,10 @@ class Row(BaseModel):
 class Memory:
     """Open with a file's path, or with "" for a bank that ends with the process. Safe to call from any thread.
 
-    `seeds` None: nothing is planted. Raises `ConfigError` where the file cannot be used.
+    `shipped` None: nothing is planted. Raises `ConfigError` where the file cannot be used.
     """
 
-    def __init__(self, embedder: Embedder, path: str = "", seeds: Path | None = SEEDS) -> None:
+    def __init__(self, embedder: Embedder, path: str = "", shipped: Path | None = EXAMPLES) -> None:
         self._embedder = embedder
         self._lock = threading.Lock()
         self._examples: list[Example] = []
@@ -163,8 +164,8 @@ class Memory:
             with self._db:
                 self._db.execute("BEGIN IMMEDIATE")  # two processes may open one bank at once
                 self._migrate()
-            if seeds is not None:
-                self._plant(seeds)
+            if shipped is not None:
+                self._plant(shipped)
             self._load()
         except (sqlite3.Error, ValueError) as error:
             why = str(error).splitlines()[0]
@@ -202,7 +203,7 @@ class Memory:
         """Learn experiences, all or none, and return how many examples of the bank hold them now.
 
         A like one (`SAME_COSINE`) with the same decision is merged, the same command with another decision replaced:
-        the newest reading of the same words counts. Seeds are left as they are.
+        the newest reading of the same words counts. Shipped ones are left as they are.
         """
         vectors = [embed_command(self._embedder, example.command) for example in examples]
         with self._lock:
@@ -213,7 +214,7 @@ class Memory:
             return sum(example.id in ids for example in self._examples)
 
     def forget(self, identity: int) -> bool:
-        """Remove one example by its id, until a seed is planted again; False where there is none."""
+        """Remove one example by its id, until a shipped one is planted again; False where there is none."""
         with self._lock:
             gone = (
                 self._db.execute(
@@ -231,13 +232,13 @@ class Memory:
         replaced, kept, learnt = [], [], 0
         for index in reversed(range(len(self._examples))):  # newest first
             old = self._examples[index]
-            if not old.seed and like[index] and old.slots.decision() == new.slots.decision():
+            if not old.shipped and like[index] and old.slots.decision() == new.slots.decision():
                 new = new.after(old)
                 replaced.append((old.id,))
-            elif not old.seed and (old.command == new.command or learnt >= MAX_LEARNT - 1):
+            elif not old.shipped and (old.command == new.command or learnt >= MAX_LEARNT - 1):
                 replaced.append((old.id,))
             else:
-                learnt += not old.seed
+                learnt += not old.shipped
                 kept.append(index)
         kept.reverse()
         self._db.executemany("DELETE FROM experience WHERE id = ?", replaced)
@@ -276,19 +277,19 @@ class Memory:
                 "SELECT command FROM experience WHERE space = ? AND outcome = 'seed'", (self._embedder.name,)
             )
         }
-        seeds = read_seeds(path)
-        missing = [index for index, seed in enumerate(seeds) if seed.command not in known]
+        shipped = read_shipped(path)
+        missing = [index for index, example in enumerate(shipped) if example.command not in known]
         if not missing:
             return
-        vectors = shipped_vectors(self._embedder, seeds, path)
+        vectors = shipped_vectors(self._embedder, shipped, path)
         for index in missing:
-            seed = seeds[index]
-            vector = embed_command(self._embedder, seed.command) if vectors is None else vectors[index]
-            self._insert(Example(seed.command, seed.scene, seed.slots), vector)
+            example = shipped[index]
+            vector = embed_command(self._embedder, example.command) if vectors is None else vectors[index]
+            self._insert(Example(example.command, example.scene, example.slots), vector)
         self._db.commit()
 
     def _insert(self, example: Example, vector: Vector) -> int:
-        """The row's id. A seed that another process planted meanwhile is left as it is."""
+        """The row's id. A shipped one that another process planted meanwhile is left as it is."""
         row = self._db.execute(
             "INSERT OR IGNORE INTO experience (space, command, scene, slots, outcome, took_s, min_ttc_s, fulfilled,"
             " failed, trouble, vector) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",

@@ -18,12 +18,12 @@ from schemas.runtime.process import ConfigError, log, run_node
 from slow_node.llm.embedding import Embedder, HashedEmbedder, Vector, load_embedder
 from slow_node.understanding.slots import Slots
 
-SEEDS = Path(__file__).with_name("examples.jsonl")
+EXAMPLES = Path(__file__).with_name("examples.jsonl")
 SAME_SPACE_COSINE = 0.999
 """An embedder that puts the first example farther than this from its shipped vector is not the one that made it."""
 
 
-class Seed(BaseModel):
+class ShippedExample(BaseModel):
     """A shipped example: a command, the scene it was said in, and what it means."""
 
     model_config = ConfigDict(extra="forbid")
@@ -33,15 +33,15 @@ class Seed(BaseModel):
     slots: Slots
 
 
-def read_seeds(path: Path = SEEDS) -> list[Seed]:
+def read_shipped(path: Path = EXAMPLES) -> list[ShippedExample]:
     """The examples of a file of JSON lines. Raises `ConfigError` for a line that is none."""
-    seeds = []
+    examples = []
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
         try:
-            seeds.append(Seed.model_validate_json(line))
+            examples.append(ShippedExample.model_validate_json(line))
         except ValidationError as error:
             raise ConfigError(f"{path}:{number}: {error.errors()[0]['msg']}") from None
-    return seeds
+    return examples
 
 
 def embed_command(embedder: Embedder, command: str) -> Vector:
@@ -49,7 +49,7 @@ def embed_command(embedder: Embedder, command: str) -> Vector:
     return embedder.embed(command.rstrip(" .!?\u3002\uff01\uff1f"))
 
 
-def shipped_vectors(embedder: Embedder, seeds: list[Seed], path: Path = SEEDS) -> Vector | None:
+def shipped_vectors(embedder: Embedder, examples: list[ShippedExample], path: Path = EXAMPLES) -> Vector | None:
     """(N, 384): the vectors that ship beside the examples; None where they are of other examples or another embedder.
 
     Stored as float16, which moves a cosine by less than 1e-3.
@@ -65,19 +65,19 @@ def shipped_vectors(embedder: Embedder, seeds: list[Seed], path: Path = SEEDS) -
     except (OSError, SafetensorError):
         metadata, vectors = {}, np.empty((0, 0), np.float32)
     if metadata == _metadata(embedder, path) and (
-        vectors[0] @ embed_command(embedder, seeds[0].command) > SAME_SPACE_COSINE
+        vectors[0] @ embed_command(embedder, examples[0].command) > SAME_SPACE_COSINE
     ):
         return vectors
     log(
         "slow",
-        "seeds",
+        "examples",
         f"no vectors that belong to {path.name} and {embedder.name}: embedding every example takes "
         "seconds; run `python -m slow_node.memory.examples` once",
     )
     return None
 
 
-def ship_vectors(embedder: Embedder, path: Path = SEEDS) -> int:
+def ship_vectors(embedder: Embedder, path: Path = EXAMPLES) -> int:
     """Embed the examples, write their vectors beside them and return how many they are.
 
     Raises `ConfigError` where only the fallback of MiniLM is installed.
@@ -86,7 +86,7 @@ def ship_vectors(embedder: Embedder, path: Path = SEEDS) -> int:
 
     if embedder.name == HashedEmbedder.name:
         raise ConfigError("MiniLM is not installed: run `make setup`")
-    vectors = np.stack([embed_command(embedder, seed.command) for seed in read_seeds(path)])
+    vectors = np.stack([embed_command(embedder, example.command) for example in read_shipped(path)])
     path.with_suffix(".safetensors").write_bytes(
         save({"vectors": vectors.astype(np.float16)}, metadata=_metadata(embedder, path))
     )
@@ -98,9 +98,9 @@ def _metadata(embedder: Embedder, path: Path) -> dict[str, str]:
 
 
 def main() -> None:
-    print(f"{ship_vectors(load_embedder())} vectors of {SEEDS.name} written")
+    print(f"{ship_vectors(load_embedder())} vectors of {EXAMPLES.name} written")
 
 
 if __name__ == "__main__":
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    sys.exit(run_node("seeds", main))
+    sys.exit(run_node("examples", main))

@@ -82,10 +82,10 @@ def cross_check(slots: Slots, nearest: Sequence[Example]) -> tuple[Slots, str]:
     Retrieval cross-check: where a shipped example is all but the same sentence (cosine above 0.97: "in no hurry"
     is near "in a hurry") and disagrees with the model, the example is right.
     """
-    seeds = [e for e in nearest if e.seed]
-    if seeds and seeds[0].cosine > CROSS_CHECK_COSINE and seeds[0].slots.decision() != slots.decision():
-        why = f"retrieval cross-check: as {seeds[0].command!r} (cosine {seeds[0].cosine:.2f})"
-        return seeds[0].slots.model_copy(update={"language": slots.language}), why
+    shipped = [e for e in nearest if e.shipped]
+    if shipped and shipped[0].cosine > CROSS_CHECK_COSINE and shipped[0].slots.decision() != slots.decision():
+        why = f"retrieval cross-check: as {shipped[0].command!r} (cosine {shipped[0].cosine:.2f})"
+        return shipped[0].slots.model_copy(update={"language": slots.language}), why
     return slots, ""
 
 

@@ -59,7 +59,7 @@ def in_scenes(samples: list[Sample], seed: int) -> Iterator[dict[str, object]]:
         }
 
 
-def seeds(stock: Stock, seed: int) -> Iterator[dict[str, object]]:
+def examples(stock: Stock, seed: int) -> Iterator[dict[str, object]]:
     """Examples for the memory bank: some English phrases of every label, one of the main labels elsewhere."""
     exam = exam_texts()
     stock = Stock([frame for frame in stock.frames if plain_text(frame.text) not in exam], stock.words)
@@ -96,10 +96,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--size", type=int, default=24_000)
-    parser.add_argument("--seeds", action="store_true", help="write the memory bank's examples.jsonl instead")
+    parser.add_argument("--examples", action="store_true", help="write the memory bank's examples.jsonl instead")
     options = parser.parse_args()
-    if options.seeds:
-        for row in seeds(load_stock(), options.seed):
+    if options.examples:
+        for row in examples(load_stock(), options.seed):
             sys.stdout.write(json.dumps(row, ensure_ascii=False) + "\n")
         return
     for row in in_scenes(Generator(load_stock(), options.seed).samples(options.size), options.seed):

@@ -18,7 +18,7 @@ from slow_node.evaluation.score import (
     table,
     wilson95,
 )
-from slow_node.memory.examples import read_seeds
+from slow_node.memory.examples import read_shipped
 
 EMPTY = {
     "speed": None,
@@ -142,4 +142,4 @@ def test_the_development_set_is_well_formed():
 
 
 def test_no_example_that_ships_is_a_command_of_an_exam() -> None:
-    assert not exam_texts() & {plain_text(seed.command) for seed in read_seeds()}
+    assert not exam_texts() & {plain_text(example.command) for example in read_shipped()}

@@ -19,7 +19,7 @@ from slow_node.interpreter import Interpretation, Interpreter, Style
 from slow_node.llm.embedding import HashedEmbedder, Rows, Vector, load_embedder
 from slow_node.llm.model import ChatModel
 from slow_node.memory.bank import Memory, experience
-from slow_node.memory.examples import embed_command, read_seeds, ship_vectors, shipped_vectors
+from slow_node.memory.examples import embed_command, read_shipped, ship_vectors, shipped_vectors
 from slow_node.planning.prompt import adapted_prompt, build_prompt
 from slow_node.planning.scene import encode_scene
 from slow_node.understanding.slots import Slots
@@ -32,8 +32,8 @@ FAST = Slots(outcome="directive", speed="faster")
 
 @pytest.fixture
 def memory() -> Iterator[Memory]:
-    """A bank without seeds."""
-    bank = Memory(HashedEmbedder(), seeds=None)
+    """A bank without shipped examples."""
+    bank = Memory(HashedEmbedder(), shipped=None)
     yield bank
     bank.close()
 
@@ -108,7 +108,7 @@ def test_beyond_its_bound_the_bank_loses_the_oldest(memory: Memory, monkeypatch:
     assert [one.command for one in memory.examples()] == ["gamma pace", "delta pace", "epsilon pace"]
 
 
-def test_seeds_do_not_count_towards_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_shipped_examples_do_not_count_towards_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slow_node.memory.bank.MAX_LEARNT", 1)
     memory = Memory(HashedEmbedder())
     shipped = len(memory)
@@ -124,8 +124,8 @@ def test_an_example_can_be_forgotten_once(memory: Memory) -> None:
     assert [memory.forget(identity), memory.forget(identity), len(memory)] == [True, False, 0]
 
 
-def test_the_outcome_of_a_shipped_command_is_kept_beside_its_seed(tmp_path: Path) -> None:
-    seed = read_seeds()[0]
+def test_the_outcome_of_a_shipped_command_is_kept_beside_the_shipped_one(tmp_path: Path) -> None:
+    seed = read_shipped()[0]
     for _ in range(2):  # the second time it is planted into a bank that has learnt
         memory = Memory(HashedEmbedder(), str(tmp_path / "bank.sqlite"))
         memory.learn(seed.command, "two-way", seed.slots, "expired")
@@ -133,7 +133,7 @@ def test_the_outcome_of_a_shipped_command_is_kept_beside_its_seed(tmp_path: Path
     memory = Memory(HashedEmbedder(), str(tmp_path / "bank.sqlite"))
     same = [one for one in memory.nearest(seed.command, 3) if one.command == seed.command]
     memory.close()
-    assert [(one.seed, one.failed) for one in same] == [(True, 0), (False, 2)]
+    assert [(one.shipped, one.failed) for one in same] == [(True, 0), (False, 2)]
 
 
 def test_two_processes_may_learn_into_one_bank(tmp_path: Path) -> None:
@@ -351,7 +351,7 @@ def test_the_shipped_vectors_belong_to_the_shipped_examples() -> None:
     embedder = load_embedder()
     if isinstance(embedder, HashedEmbedder):
         pytest.skip("MiniLM is not installed")
-    seeds = read_seeds()
+    seeds = read_shipped()
     vectors = shipped_vectors(embedder, seeds)
     assert vectors is not None, "run `python -m slow_node.memory.examples`"
     assert len(vectors) == len(seeds)
@@ -371,12 +371,12 @@ def test_stale_vectors_are_noticed_and_not_used(stale: str, tmp_path: Path) -> N
     path = tmp_path / "examples.jsonl"
     path.write_text('{"command": "Faster", "scene": "", "slots": {"outcome": "directive", "speed": "faster"}}\n')
     ship_vectors(Bins(), path)
-    assert shipped_vectors(Bins(), read_seeds(path), path) is not None
+    assert shipped_vectors(Bins(), read_shipped(path), path) is not None
     if stale == "examples":
         path.write_text(path.read_text().replace("Faster", "Slower"))
     if stale == "file":
         path.with_suffix(".safetensors").write_bytes(b"damaged")
-    assert shipped_vectors(Reversed() if stale == "embedder" else Bins(), read_seeds(path), path) is None
+    assert shipped_vectors(Reversed() if stale == "embedder" else Bins(), read_shipped(path), path) is None
 
 
 def test_rows_read_from_a_file_are_the_rows_of_its_matrix(tmp_path: Path) -> None:
