@@ -322,3 +322,10 @@ def test_the_process_ticks_without_listeners_and_publishes_its_final_figures() -
     assert wanted <= status.figures.keys()
     assert status.figures["ticks"] + status.figures["skipped"] == 30
     assert status.figures["missed"] >= 28
+
+
+def test_the_first_world_is_announced_as_every_other() -> None:
+    node = fresh()
+    node.announce("at the simulator's start", 5)
+    event = node.take_events()[0]
+    assert (event.kind, event.epoch, event.rule, event.tick) == ("world", 7, None, 0)
