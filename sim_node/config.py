@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from schemas.driving.road import HZ
 from schemas.runtime.process import NodeConfig
 from sim_node.scenarios import SCENARIOS
 
@@ -16,7 +17,7 @@ class SimConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Of the first episode; each further episode takes the next one."""
     duration_s: float | None = None
     """Stop by itself after this long; None: run until told to stop."""
-    hz: int = 15
+    hz: int = HZ
     """Ticks per second; the contract's deadlines and the trained weights are for 15."""
     density: float = 1.0
     """Times the scenario's own."""

@@ -9,8 +9,15 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from schemas.driving.measures import EGO_ACCEL_MAX_MPS2, EGO_BRAKE_MAX_MPS2, LANE_CHANGE_DONE_M, SPEED_STEP_MPS
+from schemas.driving.measures import (
+    CAR_LENGTH_M,
+    EGO_ACCEL_MAX_MPS2,
+    EGO_BRAKE_MAX_MPS2,
+    LANE_CHANGE_DONE_M,
+    SPEED_STEP_MPS,
+)
 from schemas.wire.messages import MetaAction
+from sim_node.scenarios.scenario import GATE_END, GATE_OPENS, GATE_RAMP, GATE_START
 
 # numba freezes global ints, but does not know IntEnum members in arithmetic comparisons with plain ints.
 SLOW_DOWN = int(MetaAction.SLOW_DOWN)
@@ -35,7 +42,7 @@ HEADING_MAX_RAD = 0.6
 STEERING_MAX_RAD = 0.5
 STEERING_SPEED_MIN_MPS = 0.5
 """Below this speed steering would only turn the car on the spot."""
-HALF_WHEELBASE_M = 2.5
+HALF_WHEELBASE_M = 0.5 * CAR_LENGTH_M
 """Half of the car's length, as highway-env's bicycle model has it."""
 
 
@@ -43,7 +50,8 @@ def lane_beside(gates: Any, lane: int, aim: int, x: float) -> bool:
     """Whether a car in `lane` can change to `aim` at `x` (m): it exists there, lies beside it, and is no ramp."""
     if aim < 0 or aim >= len(gates):
         return False
-    fits: bool = gates[aim][0] <= x <= gates[aim][1] and x >= gates[lane][2] and gates[aim][3] == 0.0
+    there, here = gates[aim], gates[lane]
+    fits: bool = there[GATE_START] <= x <= there[GATE_END] and x >= here[GATE_OPENS] and there[GATE_RAMP] == 0.0
     return fits
 
 

@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 
 from schemas.driving.intent import ANY_LANE, SPEED_TOLERANCE_MPS
 from schemas.driving.measures import TTC_CAP_S
+from schemas.driving.road import HZ, ID, LANE, LANE_END, VX, VY, X, Y, gap_between, lane_ends, lane_table
 from sim_node.scenarios.scenario import Scenario
 
 CLOSING_MIN_MPS = 0.1
@@ -47,6 +48,8 @@ LANE_OPEN_S = 1.0
 BLOCKED_S = 5.0
 ENDS_M = 300.0
 """Nearer to a lane's end than this, speed is for finding a gap."""
+FIRST_LEAD = 1
+"""Id of the car that `Success.pass_first_lead` is about."""
 PASSED_M = 5.0
 """The first lead is passed once the centres are this far apart: the bumpers no longer overlap."""
 
@@ -99,14 +102,13 @@ class EpisodeResult:
 
 def leader(rows: Rows, lane: Ints) -> tuple[Floats, Floats]:
     """(gap [m], closing speed [m/s]) to the nearest car ahead in `lane` (S,); gap inf where there is none."""
-    ego = rows[:, :1]
-    dx = rows[..., 1] - ego[..., 1]
-    gap = dx - 0.5 * (rows[..., 6] + ego[..., 6])
-    ahead = (rows[..., 0] > 0) & (rows[..., 8] == lane[:, None]) & (gap > 0)
+    columns = np.moveaxis(rows, -1, 0)
+    gap = np.asarray(gap_between(columns[:, :, :1], columns))
+    ahead = (rows[..., ID] > 0) & (rows[..., LANE] == lane[:, None]) & (gap > 0)
     nearest = np.where(ahead, gap, np.inf).argmin(axis=1)
     each = np.arange(len(rows))
     found = ahead[each, nearest]
-    closing = rows[:, 0, 3] - rows[each, nearest, 3]
+    closing = rows[:, 0, VX] - rows[each, nearest, VX]
     return np.where(found, gap[each, nearest], np.inf).astype(np.float64), closing.astype(np.float64)
 
 
@@ -142,12 +144,11 @@ class Recorder:
     passed: Bools
     home: Ints
 
-    def __init__(self, scenario: Scenario, scenes: int, hz: int = 15) -> None:
+    def __init__(self, scenario: Scenario, scenes: int, hz: int = HZ) -> None:
         self.scenario, self.hz = scenario, hz
         self.scenes = scenes
-        longest = scenario.road_end_m
-        ends = [plan.pieces[-1].end_m for plan in scenario.lanes]
-        self._ends = np.array([np.inf if end == longest else end for end in ends])
+        lanes = lane_table(scenario.lanes_at(0.0))
+        self._ends = np.array([lanes[k][LANE_END] if lane_ends(lanes, k) else np.inf for k in range(len(lanes))])
         self.restart(np.ones(scenes, np.bool_))
 
     def restart(self, which: Bools) -> None:
@@ -205,8 +206,8 @@ class Recorder:
         a = active
         ends = self._ends
         ego = rows[:, 0]
-        lane = ego[:, 8].astype(np.int64)
-        speed, x = ego[:, 3].astype(np.float64), ego[:, 1].astype(np.float64)
+        lane = ego[:, LANE].astype(np.int64)
+        speed, x = ego[:, VX].astype(np.float64), ego[:, X].astype(np.float64)
         self.start_x = np.where(a & np.isnan(self.start_x), x, self.start_x)
         self.home = np.where(a & (self.home < 0), lane, self.home)
         self.x = np.where(a, x, self.x)
@@ -254,8 +255,8 @@ class Recorder:
             self.could_lane += a & way_open
         if overridden is not None:
             self.overridden += a & overridden
-        first = rows[..., 0] == 1
-        behind = (first & (rows[..., 1] < x[:, None] - PASSED_M)).any(axis=1)
+        first = rows[..., ID] == FIRST_LEAD
+        behind = (first & (rows[..., X] < x[:, None] - PASSED_M)).any(axis=1)
         settled = (lane == self.home) & (target_lane == self.home) & ~changing
         self.passed |= a & behind & settled
         new = a & crashed & ~self.collided
@@ -308,14 +309,14 @@ class Recorder:
 def _struck(rows: Rows, changing: Bools) -> Bools:
     """Whether the car nearest to the ego ran into it, and not the ego into that car; the ego held its lane."""
     ego = rows[:, :1]
-    dx, dy = rows[..., 1] - ego[..., 1], rows[..., 2] - ego[..., 2]
-    away = np.where(rows[..., 0] > 0, np.hypot(dx, 2.0 * dy), np.inf)
+    dx, dy = rows[..., X] - ego[..., X], rows[..., Y] - ego[..., Y]
+    away = np.where(rows[..., ID] > 0, np.hypot(dx, 2.0 * dy), np.inf)
     other = away.argmin(axis=1)
     each = np.arange(len(rows))
     near = rows[each, other]
     touching = away[each, other] < 12.0  # else it was an obstacle
-    from_behind = (dx[each, other] < -2.0) & (near[:, 3] > rows[:, 0, 3])
-    sideways = -np.sign(dy[each, other]) * (near[:, 4] - rows[:, 0, 4]) > SIDEWAYS_MPS
+    from_behind = (dx[each, other] < -2.0) & (near[:, VX] > rows[:, 0, VX])
+    sideways = -np.sign(dy[each, other]) * (near[:, VY] - rows[:, 0, VY]) > SIDEWAYS_MPS
     return np.asarray(touching & ~changing & (from_behind | sideways))
 
 

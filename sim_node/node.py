@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.driving.measures import TTC_CAP_S
+from schemas.driving.road import LANE
 from schemas.wire.messages import Action, Event, EventKind, MetaAction, Observation
 from sim_node.config import SimConfig
 from sim_node.env import ScenarioEnv
 from sim_node.metrics import Recorder
-from sim_node.observe import observe
 
 HOLD_TICKS = 2
 """An action may be this many ticks old, and without one the set-points hold for this many ticks."""
@@ -76,7 +76,7 @@ class SimNode:
     @property
     def lane(self) -> int:
         """The lane the ego's centre is in."""
-        return int(self._rows[0, 8])
+        return int(self._rows[0, LANE])
 
     def reset(self, epoch: int) -> None:
         """Begin the next episode as world `epoch`, at tick 0, with the next seed."""
@@ -132,7 +132,24 @@ class SimNode:
 
     def observation(self, now_ns: int) -> Observation:
         """What the ego sees at the current tick."""
-        return observe(self._env, epoch=self.epoch, tick=self.tick, applied_tick=self._applied_tick, now_ns=now_ns)
+        env, ego = self._env, self._env.ego
+        return Observation(
+            epoch=self.epoch,
+            stamp_ns=now_ns,
+            tick=self.tick,
+            scenario=env.scenario.name,
+            lanes=env.published_lanes(),
+            rows=env.seen().astype("<f4", copy=False).tobytes(),
+            acceleration_mps2=float(ego.acceleration),
+            target_speed_mps=float(ego.target_speed),
+            target_lane=ego.target_lane,
+            goal_x_m=env.scenario.end_x_m,
+            crashed=bool(ego.crashed),
+            applied_tick=self._applied_tick,
+            hz=env.hz,
+            previous_lane=ego.previous_lane,
+            sight_m=env.scenario.sight_m,
+        )
 
     def take_events(self) -> list[Event]:
         """Events since the last call."""

@@ -8,22 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import FunctionType
 from typing import Any, Protocol
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from fast_node import choice, mask
 from fast_node.choice import HELD, MASKED
-from schemas.driving import features, measures
-from schemas.driving import intent as wish
-from schemas.driving.features import FEATURES, N_ROWS, Array
-from schemas.driving.intent import ANY_LANE
-from schemas.driving.measures import TTC_CAP_S
+from fast_node.mask.vocabulary import AHEAD, FACING
+from schemas.driving.features import FEATURES, N_ROWS, Array, policy_input
+from schemas.driving.intent import ANY_LANE, wished_lane
+from schemas.driving.measures import TTC_CAP_S, ttc_s
 from schemas.driving.reward import reward, shortfall
-from schemas.driving.road import DECISION_TICKS
+from schemas.driving.road import DECISION_TICKS, LANE, LANE_END, LANE_Y, VX, X, gap_between
+from schemas.runtime.compiled import compiled
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 
 Floats = NDArray[np.float64]
@@ -31,26 +29,6 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 
-def _compiled(function: Any, done: dict[Any, Any]) -> Any:
-    """A compiled copy of a function and of all of ours that it calls; the originals stay plain Python."""
-    if function not in done:
-        names = {
-            name: _compiled(value, done) if isinstance(value, FunctionType) else value
-            for name, value in function.__globals__.items()
-            if name in function.__code__.co_names
-        }
-        done[function] = numba.njit(FunctionType(function.__code__, names, function.__name__, function.__defaults__))
-    return done[function]
-
-
-_close = _compiled(mask.close_actions, {})
-_wished_lane = _compiled(wish.wished_lane, {})
-_choose = numba.njit(choice.choose)
-_narrow = _compiled(choice.narrow, {})
-_ttc = numba.njit(measures.ttc_s)
-
-
-@numba.njit  # type: ignore[untyped-decorator]
 def _look_all(
     rows: Any,
     lanes: Any,
@@ -72,15 +50,19 @@ def _look_all(
     ttc: Any,
     short: Any,
 ) -> None:
+    """Of every scene: what the mask closes, the lane wished now, the time to collision, the shortfall of the gap.
+
+    near, rule, vehicle, wish_lane, ttc, short: outputs; the rest as `Fleet` has it.
+    """
     for s in range(rows.shape[0]):
-        _close(
+        mask.close_actions(
             rows[s], lanes[s], target_speed[s], target_lane[s], previous[s], sight, near[s], rule[s], vehicle[s], preset
         )
         if not masked:
             rule[s] = mask.OPEN
-        wish_lane[s] = told_lane[s] if pass_id[s] < 0 else _wished_lane(rows[s], told_lane[s], pass_id[s])
+        wish_lane[s] = told_lane[s] if pass_id[s] < 0 else wished_lane(rows[s], told_lane[s], pass_id[s])
         if obeyed:
-            _narrow(
+            choice.narrow(
                 rule[s],
                 rows[s],
                 near[s],
@@ -95,23 +77,18 @@ def _look_all(
         ttc[s] = TTC_CAP_S
         short[s] = 0.0
         ego = rows[s, 0]
-        lead = near[s, 3 * target_lane[s]]
+        lead = near[s, 3 * target_lane[s] + AHEAD]
         if lead >= 0:
-            short[s] = _shortfall(rows[s, lead, 1] - ego[1] - 0.5 * (rows[s, lead, 6] + ego[6]), ego[3], headway[s])
-        for lane in (int(ego[8]), target_lane[s]):
-            for k in (0, 2):
+            short[s] = shortfall(gap_between(ego, rows[s, lead]), ego[VX], headway[s])
+        for lane in (int(ego[LANE]), target_lane[s]):
+            for k in (AHEAD, FACING):
                 i = near[s, 3 * lane + k]
                 if i >= 0:
-                    gap = rows[s, i, 1] - ego[1] - 0.5 * (rows[s, i, 6] + ego[6])
+                    gap = gap_between(ego, rows[s, i])
                     if gap > 0.0:
-                        ttc[s] = min(ttc[s], _ttc(gap, ego[3] - rows[s, i, 3]))
+                        ttc[s] = min(ttc[s], ttc_s(gap, ego[VX] - rows[s, i, VX]))
 
 
-_features = numba.njit(features.policy_input)
-_shortfall = numba.njit(shortfall)
-
-
-@numba.njit  # type: ignore[untyped-decorator]
 def _observe_all(
     rows: Any,
     lanes: Any,
@@ -124,16 +101,22 @@ def _observe_all(
     order: Any,
     out: Any,
 ) -> None:
+    """Fill `out` (S, N, F) with every scene's policy input; order: working space."""
     for s in range(rows.shape[0]):
-        y_des = np.nan if wish_lane[s] < 0 else lanes[s, wish_lane[s], 0]
-        road_left = lanes[s, target_lane[s], 2] - rows[s, 0, 1]
-        _features(rows[s], y_des, v_des[s], headway[s], target_speed[s], previous[s] >= 0, road_left, order, out[s])
+        y_des = np.nan if wish_lane[s] < 0 else lanes[s, wish_lane[s], LANE_Y]
+        road_left = lanes[s, target_lane[s], LANE_END] - rows[s, 0, X]
+        policy_input(rows[s], y_des, v_des[s], headway[s], target_speed[s], previous[s] >= 0, road_left, order, out[s])
 
 
-@numba.njit  # type: ignore[untyped-decorator]
 def _choose_all(logits: Any, rule: Any, age: Any, meta: Any, by: Any) -> None:
+    """Fill meta (S,) and by (S,) with every scene's `choice.choose`."""
     for s in range(len(meta)):
-        meta[s], by[s] = _choose(logits[s], rule[s], age[s] < DECISION_TICKS)
+        meta[s], by[s] = choice.choose(logits[s], rule[s], age[s] < DECISION_TICKS)
+
+
+_look = compiled(_look_all)
+_observe = compiled(_observe_all)
+_choose = compiled(_choose_all)
 
 
 class World(Protocol):
@@ -182,7 +165,7 @@ class Fleet:
         self._preset = mask.PRESETS[task.preset]
         s, n = len(world.rows), len(task.lanes)
         self.lanes = np.repeat(task.lanes[None], s, axis=0)
-        self.rule, self.vehicle = np.zeros((s, 6), np.int64), np.zeros((s, 6), np.int64)
+        self.rule, self.vehicle = np.zeros((s, len(MetaAction)), np.int64), np.zeros((s, len(MetaAction)), np.int64)
         self._rows = world.rows.astype(np.float64)  # the node computes with Python's floats: here the same numbers
         self._near = np.zeros((s, 3 * n), np.int64)
         self._order = np.zeros(world.rows.shape[1], np.int64)
@@ -194,9 +177,9 @@ class Fleet:
     def look(self) -> None:
         """Mask, wishes and time to collision of the present state."""
         w = self.world
-        self.lanes[:, :, 0] = w.lane_y
+        self.lanes[:, :, LANE_Y] = w.lane_y
         self._rows[:] = w.rows
-        _look_all(
+        _look(
             self._rows,
             self.lanes,
             w.target_speed,
@@ -222,7 +205,7 @@ class Fleet:
         """Policy input (S, N, F) of what `look` saw last."""
         w = self.world
         out = np.empty((len(self.wish), N_ROWS, len(FEATURES)), np.float32)
-        _observe_all(
+        _observe(
             self._rows,
             self.lanes,
             self.wish,
@@ -240,8 +223,8 @@ class Fleet:
         """Where the ego has crashed, reached its goal or come to the road's end."""
         ego = self.world.rows[:, 0]
         x, lanes, end = self.task.goal
-        reached = (ego[:, 1] > x) & np.isin(ego[:, 8], lanes)
-        return np.asarray(self.world.crashed | reached | (ego[:, 1] > end))
+        reached = (ego[:, X] > x) & np.isin(ego[:, LANE], lanes)
+        return np.asarray(self.world.crashed | reached | (ego[:, X] > end))
 
 
 class Scenes(Fleet):
@@ -288,7 +271,7 @@ class Scenes(Fleet):
         s = len(action)
         each = np.arange(s)
         braked, effort, short, ttc = np.zeros(s, np.bool_), np.zeros(s), np.zeros(s), np.full(s, TTC_CAP_S)
-        start_x = w.rows[:, 0, 1].copy()
+        start_x = w.rows[:, 0, X].copy()
         for k in range(self._ticks):
             is_open = self.rule == mask.OPEN
             meta = action if k == 0 else np.full(s, MetaAction.CRUISE)
@@ -310,7 +293,7 @@ class Scenes(Fleet):
             short += self.short / self._ticks
         self.age += 1
         seconds = self._ticks / DECISION_TICKS
-        speed = (w.rows[:, 0, 1] - start_x).astype(np.float64) / seconds
+        speed = (w.rows[:, 0, X] - start_x).astype(np.float64) / seconds
         earned = reward(
             speed,
             self.v_des,
@@ -390,7 +373,7 @@ class Driver:
         f.look()
         self._age[f.wish != self._last_wish] = 10**6
         self._last_wish[:] = f.wish
-        _choose_all(self._logits(f.observe()), f.rule, self._age, self.meta, self._by)
+        _choose(self._logits(f.observe()), f.rule, self._age, self.meta, self._by)
         self._age[self._by != HELD] = 0
         self._age += 1
         self.overridden = self._by == MASKED

@@ -16,8 +16,8 @@ from highway_env.envs.common.action import DiscreteMetaAction
 from highway_env.envs.common.observation import KinematicObservation
 from highway_env.vehicle.controller import MDPVehicle
 
-from sim_node.engine import kernel
 from sim_node.engine.bridge import NO_VIEW, Bridge
+from sim_node.engine.kernel import layout, tick
 from sim_node.engine.kinematics import ArrayKinematics
 from sim_node.engine.tables import UnsupportedError
 
@@ -63,7 +63,7 @@ class Accelerated:
                 self._give_up(reason)
                 super()._simulate(None if told is _NO_ACTION else action)  # type: ignore[misc]
                 return
-            kernel.advance(
+            tick.advance(
                 per_call,
                 1 / hz,
                 bridge.tables.roads,
@@ -96,6 +96,6 @@ def accelerate(environment: type[AbstractEnv]) -> type[AbstractEnv]:
     return type(f"Accelerated{environment.__name__}", (Accelerated, environment), {"__module__": __name__})
 
 
-_CALLS = kernel.new_calls()
+_CALLS = layout.new_calls()
 _META_ACTIONS = {name: number for number, name in DiscreteMetaAction.ACTIONS_ALL.items()}
-_NO_ACTION = np.full(1, kernel.NO_ACTION)
+_NO_ACTION = np.full(1, layout.NO_ACTION)

@@ -12,15 +12,16 @@ import numpy as np
 from highway_env.road.road import Road
 from numpy.typing import NDArray
 
+from schemas.driving.measures import CAR_LENGTH_M
+from schemas.driving.road import DT_S, HZ, LENGTH, WIDTH
 from schemas.wire.messages import ROW_COLUMNS
-from sim_node.engine import kernel, tables
+from sim_node.engine import tables
 from sim_node.engine.bridge import NO_VIEW, Bridge, new_ego
-from sim_node.engine.kernel import ABSENT_X_M, View
-from sim_node.scenarios.scenario import CAR_LENGTH_M, Scenario, Spawn
+from sim_node.engine.kernel import layout, tick
+from sim_node.engine.kernel.layout import ABSENT_X_M, View
+from sim_node.road import lane_index, network
+from sim_node.scenarios.scenario import LEFT_ROAD_M, PIECE_LANE, PIECE_START, Scenario, Spawn
 
-HZ = 15
-DT_S = 1.0 / HZ
-CAR_WIDTH_M = 2.0
 OBSTACLE_M = 2.0
 
 Floats = NDArray[np.float64]
@@ -59,21 +60,18 @@ class Batched:
 
         Raises ValueError for another ego.
         """
-        from sim_node.env import network as network_of  # highway-env's environments import this package
-
         if ego not in ("executor", "idm"):
             raise ValueError(f"ego {ego!r} is neither 'executor' nor 'idm'")
         self.scenario, self.scenes = scenario, scenes
-        self._kind = kernel.EXECUTOR if ego == "executor" else kernel.TRAFFIC
-        network = network_of(scenario)
-        self._tables = tables.read(network, scenario.connected_lanes)
+        self._kind = layout.EXECUTOR if ego == "executor" else layout.TRAFFIC
+        self._tables = tables.read(network(scenario), scenario.connected_lanes)
         self._pieces = scenario.pieces()
         self._lane_of_piece = _lanes_of_pieces(scenario, self._tables)
         vehicles, things, lanes_n = scenario.vehicles_max, len(scenario.obstacles), len(scenario.lanes)
         n = vehicles + things
         self.vehicles = vehicles
-        self._f, self._g = np.zeros((scenes, kernel.FLOATS, n)), np.zeros((scenes, kernel.INTS, n), np.int64)
-        self._scratch, self._calls = kernel.new_scratch(n, len(self._tables.lanes)), kernel.new_calls()
+        self._f, self._g = np.zeros((scenes, layout.FLOATS, n)), np.zeros((scenes, layout.INTS, n), np.int64)
+        self._scratch, self._calls = layout.new_scratch(n, len(self._tables.lanes)), layout.new_calls()
         bounds = scenario.ego
         self._ego = new_ego(
             scenes,
@@ -91,14 +89,14 @@ class Batched:
             _published(scenario),
             self.lane_y,
             _lanes_of_network(self._tables, self._lane_of_piece, self._pieces),
-            float(scenario.road_end_m - kernel.LEFT_ROAD_M),
+            float(scenario.road_end_m - LEFT_ROAD_M),
             float(scenario.sight_m),
         )
         e = self._ego
         self.target_speed, self.target_lane, self.previous_lane = e.target_speed, e.target_lane, e.previous_lane
         self.accel, self.crashed, self.ticks = e.accel, e.crashed, e.ticks
-        self.x, self.y = self._f[:, kernel.X, :vehicles], self._f[:, kernel.Y, :vehicles]
-        self.heading, self.speed = self._f[:, kernel.ANGLE, :vehicles], self._f[:, kernel.SPEED, :vehicles]
+        self.x, self.y = self._f[:, layout.X, :vehicles], self._f[:, layout.Y, :vehicles]
+        self.heading, self.speed = self._f[:, layout.ANGLE, :vehicles], self._f[:, layout.SPEED, :vehicles]
         self._rngs = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(scenes)]
         self.reset(np.ones(scenes, np.bool_))
 
@@ -114,38 +112,39 @@ class Batched:
             raise ValueError(f"{n} vehicles, but scenario {self.scenario.name!r} has at most {first_thing}")
         f, g, e = self._f[scene], self._g[scene], self._ego
         f[:], g[:] = 0.0, 0
-        f[kernel.X], f[kernel.DELTA], f[kernel.CAR_LENGTH], f[kernel.CAR_WIDTH] = ABSENT_X_M, 1.0, CAR_LENGTH_M, 2.0
+        f[layout.X], f[layout.DELTA] = ABSENT_X_M, 1.0
+        f[layout.CAR_LENGTH], f[layout.CAR_WIDTH] = CAR_LENGTH_M, layout.VEHICLE_WIDTH_M
         lane, way = np.zeros(f.shape[1], np.int64), np.ones(f.shape[1], np.int64)
-        f[kernel.X, :n], lane[:n], way[:n] = spawn.x, spawn.lane, spawn.direction
-        f[kernel.SPEED, :n], f[kernel.TARGET_SPEED, :n] = spawn.speed, spawn.target_speed
-        f[kernel.DELTA, :n], f[kernel.TIMER, :n] = spawn.delta, spawn.timer
-        g[kernel.KIND, :n] = kernel.TRAFFIC
-        g[kernel.KIND, 0] = self._kind
-        g[kernel.CHANGES, :n], g[kernel.CHECKS] = spawn.lane_changes, 1
+        f[layout.X, :n], lane[:n], way[:n] = spawn.x, spawn.lane, spawn.direction
+        f[layout.SPEED, :n], f[layout.TARGET_SPEED, :n] = spawn.speed, spawn.target_speed
+        f[layout.DELTA, :n], f[layout.TIMER, :n] = spawn.delta, spawn.timer
+        g[layout.KIND, :n] = layout.TRAFFIC
+        g[layout.KIND, 0] = self._kind
+        g[layout.CHANGES, :n], g[layout.CHECKS] = spawn.lane_changes, 1
         for i, (k, at) in enumerate(self.scenario.obstacles, first_thing):
-            f[kernel.X, i], lane[i], g[kernel.KIND, i] = at, k, kernel.OBSTACLE
-            f[kernel.CAR_LENGTH, i] = OBSTACLE_M
-        g[kernel.TARGET_LANE, :n] = self._lane_numbers(spawn)
-        if self._kind == kernel.EXECUTOR:
-            f[kernel.DELTA, 0], f[kernel.TIMER, 0], g[kernel.CHANGES, 0], g[kernel.TARGET_LANE, 0] = 1.0, 0.0, 0, 0
+            f[layout.X, i], lane[i], g[layout.KIND, i] = at, k, layout.OBSTACLE
+            f[layout.CAR_LENGTH, i] = OBSTACLE_M
+        g[layout.TARGET_LANE, :n] = self._lane_numbers(spawn)
+        if self._kind == layout.EXECUTOR:
+            f[layout.DELTA, 0], f[layout.TIMER, 0], g[layout.CHANGES, 0], g[layout.TARGET_LANE, 0] = 1.0, 0.0, 0, 0
         else:
-            g[kernel.CHANGES, 0] = all(plan.direction > 0 for plan in self.scenario.lanes)
+            g[layout.CHANGES, 0] = all(plan.direction > 0 for plan in self.scenario.lanes)
         self.target_speed[scene], self.target_lane[scene] = spawn.target_speed[0], spawn.lane[0]
         self.previous_lane[scene], self.accel[scene] = -1, 0.0
         self.crashed[scene], self.ticks[scene] = False, 0
-        e.meta[scene] = kernel.IDLE
-        if self._kind != kernel.EXECUTOR:
+        e.meta[scene] = layout.IDLE
+        if self._kind != layout.EXECUTOR:
             self.target_speed[scene] = self.scenario.ego.speed_ceiling_mps
         rows = self.rows[scene]
         rows[:] = 0.0
-        rows[:, 6], rows[:, 7] = CAR_LENGTH_M, CAR_WIDTH_M
-        kernel.settle(self._tables.roads, self._calls, self._scratch, self._f, self._g, e, self._view, scene, lane, way)
-        g[kernel.TARGET_LANE, first_thing:] = g[kernel.LANE, first_thing:]
+        rows[:, LENGTH], rows[:, WIDTH] = CAR_LENGTH_M, layout.VEHICLE_WIDTH_M
+        tick.settle(self._tables.roads, self._calls, self._scratch, self._f, self._g, e, self._view, scene, lane, way)
+        g[layout.TARGET_LANE, first_thing:] = g[layout.LANE, first_thing:]
 
     def tick(self, meta: Ints, speed_goal: Floats) -> None:
         """Advance every scene by 1/15 s: one `MetaAction` (S,) per scene, and its speed goal (S,) m/s (nan: none)."""
         self._ego.speed_goal[:] = speed_goal
-        kernel.advance(
+        tick.advance(
             1,
             DT_S,
             self._tables.roads,
@@ -163,14 +162,16 @@ class Batched:
         self._ego = self._ego._replace(freezes=False)
 
     def state(self, scene: int) -> tuple[Floats, Ints]:
-        """Copies of the kernel's arrays of all that is on one scene's road: see `kernel.X` and `kernel.KIND`."""
+        """Copies of the kernel's arrays of all that is on one scene's road: see `layout.X` and `layout.KIND`."""
         f, g = self._f[scene], self._g[scene]
-        here = g[kernel.KIND] != kernel.ABSENT
+        here = g[layout.KIND] != layout.ABSENT
         return f[:, here], g[:, here]
 
     def _lane_numbers(self, spawn: Spawn) -> Ints:
         """The network's lane under each vehicle."""
-        starts = np.where(self._pieces[None, :, 0] == spawn.lane[:, None], self._pieces[None, :, 1], np.inf)
+        starts = np.where(
+            self._pieces[None, :, PIECE_LANE] == spawn.lane[:, None], self._pieces[None, :, PIECE_START], np.inf
+        )
         reached = (starts <= spawn.x[:, None]) & np.isfinite(starts)
         last = self._pieces.shape[0] - 1 - np.argmax(reached[:, ::-1], axis=1)
         piece = np.where(reached.any(axis=1), last, np.argmin(starts, axis=1))
@@ -180,7 +181,7 @@ class Batched:
 class BatchedRoads:
     """Scenes that start as highway-env's own roads, all on the same network; for comparisons with upstream."""
 
-    def __init__(self, roads: Sequence[Road], hz: int = 15) -> None:
+    def __init__(self, roads: Sequence[Road], hz: int = HZ) -> None:
         """Takes the state of every road. Raises `tables.UnsupportedError` for what the kernel does not know."""
         scenes = [Bridge() for _ in roads]
         for scene, road in zip(scenes, roads, strict=True):
@@ -188,17 +189,17 @@ class BatchedRoads:
         known = scenes[0].tables
         n = max(scene.f.shape[2] for scene in scenes)
         self.dt, self.tables = 1.0 / hz, known
-        self.f, self.g = np.zeros((len(roads), kernel.FLOATS, n)), np.zeros((len(roads), kernel.INTS, n), np.int64)
-        self.f[:, kernel.X], self.f[:, kernel.DELTA], self.f[:, kernel.CAR_LENGTH] = ABSENT_X_M, 1.0, CAR_LENGTH_M
+        self.f, self.g = np.zeros((len(roads), layout.FLOATS, n)), np.zeros((len(roads), layout.INTS, n), np.int64)
+        self.f[:, layout.X], self.f[:, layout.DELTA], self.f[:, layout.CAR_LENGTH] = ABSENT_X_M, 1.0, CAR_LENGTH_M
         for k, scene in enumerate(scenes):
             self.f[k, :, : scene.f.shape[2]], self.g[k, :, : scene.g.shape[2]] = scene.f[0], scene.g[0]
         self.ego = new_ego(len(roads), scenes[0].ego.speeds)
-        self.ego.target_speed[:] = self.f[:, kernel.TARGET_SPEED, 0]
-        self._scratch, self._calls = kernel.new_scratch(n, len(known.lanes)), kernel.new_calls()
+        self.ego.target_speed[:] = self.f[:, layout.TARGET_SPEED, 0]
+        self._scratch, self._calls = layout.new_scratch(n, len(known.lanes)), layout.new_calls()
 
     def tick(self, action: Ints, ticks: int = 1) -> None:
         """Advance by `ticks`; action (S,) by number as `DiscreteMetaAction`'s, at the first tick."""
-        kernel.advance(
+        tick.advance(
             ticks,
             self.dt,
             self.tables.roads,
@@ -216,14 +217,12 @@ def _published(scenario: Scenario) -> Floats:
     table = []
     for plan in scenario.lanes:
         straight = len({p.y_m for p in plan.pieces}) == 1 and not any(p.amplitude_m for p in plan.pieces)
-        table.append((plan.pieces[0].start_m, plan.pieces[-1].end_m, plan.pieces[0].y_m if straight else np.nan))
+        table.append((plan.pieces[0].y_m if straight else np.nan, plan.pieces[0].start_m, plan.pieces[-1].end_m))
     return np.array(table)
 
 
 def _lanes_of_pieces(scenario: Scenario, known: tables.Tables) -> Ints:
     """(P,) the network's lane of each piece, in the direction of its traffic."""
-    from sim_node.env import lane_index
-
     return np.array(
         [
             known.number[lane_index(scenario, lane, piece.start_m)]
@@ -241,5 +240,5 @@ def _lanes_of_network(known: tables.Tables, lane_of_piece: Ints, pieces: Floats)
         if not len(found):
             found = np.flatnonzero(lane_of_piece == known.number.get((end, start, i), -1))
         if len(found):
-            out[k] = int(pieces[found[0], 0])
+            out[k] = int(pieces[found[0], PIECE_LANE])
     return out

@@ -11,41 +11,47 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.objects import Obstacle
 from numpy.typing import NDArray
 
-from sim_node.engine import kernel, tables
-from sim_node.engine.kernel import Ego, Scratch, View
+from schemas.wire.messages import ROW_COLUMNS
+from sim_node.ego import EgoVehicle
+from sim_node.engine import tables
+from sim_node.engine.kernel import layout
+from sim_node.engine.kernel.layout import Ego, Scratch, View
 from sim_node.engine.tables import UnsupportedError
 from sim_node.traffic import TrafficVehicle
 
 KINDS: dict[type, int] = {
-    IDMVehicle: kernel.IDM,
-    TrafficVehicle: kernel.TRAFFIC,
-    MDPVehicle: kernel.MDP,
-    Obstacle: kernel.OBSTACLE,
+    IDMVehicle: layout.IDM,
+    TrafficVehicle: layout.TRAFFIC,
+    MDPVehicle: layout.MDP,
+    EgoVehicle: layout.EXECUTOR,
+    Obstacle: layout.OBSTACLE,
 }
-"""The classes that the kernel knows, exactly: a subclass may behave otherwise. `sim_node.env` adds its ego."""
+"""The classes that the kernel knows, exactly: a subclass may behave otherwise."""
 
 CONSTANTS: dict[str, float] = {
-    "ACC_MAX": kernel.ACC_MAX,
-    "COMFORT_ACC_MAX": kernel.COMFORT_ACC_MAX,
-    "COMFORT_ACC_MIN": kernel.COMFORT_ACC_MIN,
-    "DISTANCE_WANTED": kernel.DISTANCE_WANTED,
-    "TIME_WANTED": kernel.TIME_WANTED,
+    "ACC_MAX": layout.ACC_MAX,
+    "COMFORT_ACC_MAX": layout.COMFORT_ACC_MAX,
+    "COMFORT_ACC_MIN": layout.COMFORT_ACC_MIN,
+    "DISTANCE_WANTED": layout.DISTANCE_WANTED,
+    "TIME_WANTED": layout.TIME_WANTED,
     "POLITENESS": 0.0,
-    "LANE_CHANGE_MIN_ACC_GAIN": kernel.LANE_CHANGE_MIN_ACC_GAIN,
-    "LANE_CHANGE_MAX_BRAKING_IMPOSED": kernel.LANE_CHANGE_MAX_BRAKING_IMPOSED,
-    "LANE_CHANGE_DELAY": kernel.LANE_CHANGE_DELAY,
-    "MAX_SPEED": kernel.MAX_SPEED,
-    "MIN_SPEED": kernel.MIN_SPEED,
-    "KP_A": kernel.KP_A,
-    "KP_HEADING": kernel.KP_HEADING,
-    "KP_LATERAL": kernel.KP_LATERAL,
-    "TAU_PURSUIT": kernel.TAU_PURSUIT,
-    "MAX_STEERING_ANGLE": kernel.MAX_STEERING_ANGLE,
-    "WIDTH": 2.0,
+    "LANE_CHANGE_MIN_ACC_GAIN": layout.LANE_CHANGE_MIN_ACC_GAIN,
+    "LANE_CHANGE_MAX_BRAKING_IMPOSED": layout.LANE_CHANGE_MAX_BRAKING_IMPOSED,
+    "LANE_CHANGE_DELAY": layout.LANE_CHANGE_DELAY,
+    "MAX_SPEED": layout.MAX_SPEED,
+    "MIN_SPEED": layout.MIN_SPEED,
+    "KP_A": layout.KP_A,
+    "KP_HEADING": layout.KP_HEADING,
+    "KP_LATERAL": layout.KP_LATERAL,
+    "TAU_PURSUIT": layout.TAU_PURSUIT,
+    "MAX_STEERING_ANGLE": layout.MAX_STEERING_ANGLE,
+    "WIDTH": layout.VEHICLE_WIDTH_M,
 }
 """What is compiled in; a vehicle that has another value, of its own or of its class, is upstream's."""
 
-NO_VIEW = View(np.zeros((0, 0, 9), np.float32), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0, np.int64), 0.0, 0.0)
+NO_VIEW = View(
+    np.zeros((0, 0, len(ROW_COLUMNS)), np.float32), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0, np.int64), 0.0, 0.0
+)
 """Publishes nothing."""
 
 
@@ -107,29 +113,29 @@ class Bridge:
             raise UnsupportedError("planned routes")
         n = len(everything)
         floats, ints, number = self.f[0], self.g[0], self.tables.number
-        floats[kernel.X : kernel.Y + 1] = np.concatenate([v.position for v in everything]).reshape(n, 2).T
-        floats[kernel.ANGLE] = [v.heading for v in everything]
-        floats[kernel.SPEED] = [v.speed for v in everything]
-        floats[kernel.TARGET_SPEED] = [getattr(v, "target_speed", 0.0) for v in everything]
-        floats[kernel.DELTA] = [getattr(v, "DELTA", 1.0) for v in everything]
-        floats[kernel.TIMER] = [getattr(v, "timer", 0.0) for v in everything]
-        ints[kernel.LANE] = [number[v.lane_index] for v in everything]
-        ints[kernel.TARGET_LANE] = [number[getattr(v, "target_lane_index", v.lane_index)] for v in everything]
-        ints[kernel.CRASHED] = [v.crashed for v in everything]
-        ints[kernel.CHANGES] = [getattr(v, "enable_lane_change", False) for v in everything]
-        ints[kernel.CHECKS] = [v.check_collisions for v in everything]
-        ints[kernel.PUSHED] = 0
+        floats[layout.X : layout.Y + 1] = np.concatenate([v.position for v in everything]).reshape(n, 2).T
+        floats[layout.ANGLE] = [v.heading for v in everything]
+        floats[layout.SPEED] = [v.speed for v in everything]
+        floats[layout.TARGET_SPEED] = [getattr(v, "target_speed", 0.0) for v in everything]
+        floats[layout.DELTA] = [getattr(v, "DELTA", 1.0) for v in everything]
+        floats[layout.TIMER] = [getattr(v, "timer", 0.0) for v in everything]
+        ints[layout.LANE] = [number[v.lane_index] for v in everything]
+        ints[layout.TARGET_LANE] = [number[getattr(v, "target_lane_index", v.lane_index)] for v in everything]
+        ints[layout.CRASHED] = [v.crashed for v in everything]
+        ints[layout.CHANGES] = [getattr(v, "enable_lane_change", False) for v in everything]
+        ints[layout.CHECKS] = [v.check_collisions for v in everything]
+        ints[layout.PUSHED] = 0
         for i, v in enumerate(cars):
             if v.impact is not None:
-                floats[kernel.PUSH_X : kernel.PUSH_Y + 1, i] = v.impact
-                ints[kernel.PUSHED, i] = 1
+                floats[layout.PUSH_X : layout.PUSH_Y + 1, i] = v.impact
+                ints[layout.PUSHED, i] = 1
         first, ego = cars[0], self.ego
-        if self.kinds[0] == kernel.EXECUTOR:
-            ints[kernel.TARGET_LANE, 0] = 0  # its lanes are the scenario's
+        if self.kinds[0] == layout.EXECUTOR:
+            ints[layout.TARGET_LANE, 0] = 0  # its lanes are the scenario's
             ego.meta[0], ego.speed_goal[0], ego.accel[0] = first.meta, first.speed_goal, first.acceleration
             ego.target_lane[0], ego.previous_lane[0] = first.target_lane, first.previous_lane
-        elif self.kinds[0] == kernel.MDP:
-            ints[kernel.SPEED_INDEX, 0] = first.speed_index
+        elif self.kinds[0] == layout.MDP:
+            ints[layout.SPEED_INDEX, 0] = first.speed_index
             ego.speeds[:] = first.target_speeds
         self.ego.target_speed[0] = first.target_speed
         self._before = ints[_MARKS].copy()
@@ -140,13 +146,13 @@ class Bridge:
         for v, kind, x, y, heading, speed, timer, steering, accel in zip(
             road.vehicles,
             self.kinds,
-            rows[kernel.X],
-            rows[kernel.Y],
-            rows[kernel.ANGLE],
-            rows[kernel.SPEED],
-            rows[kernel.TIMER],
-            rows[kernel.STEERING],
-            rows[kernel.ACCEL],
+            rows[layout.X],
+            rows[layout.Y],
+            rows[layout.ANGLE],
+            rows[layout.SPEED],
+            rows[layout.TIMER],
+            rows[layout.STEERING],
+            rows[layout.ACCEL],
             strict=False,
         ):
             position = v.position
@@ -155,25 +161,25 @@ class Bridge:
             v.heading = heading
             v.speed = speed
             v.action = {"steering": steering, "acceleration": accel}
-            if kind <= kernel.TRAFFIC:
+            if kind <= layout.TRAFFIC:
                 v.timer = timer
         indices, lanes, cars = self.tables.indices, self.tables.lanes, len(road.vehicles)
-        for i in np.flatnonzero((ints[_MARKS] != self._before).any(axis=0) | (ints[kernel.PUSHED] != 0)):
+        for i in np.flatnonzero((ints[_MARKS] != self._before).any(axis=0) | (ints[layout.PUSHED] != 0)):
             v = self._everything[i]
-            v.crashed = bool(ints[kernel.CRASHED, i])
+            v.crashed = bool(ints[layout.CRASHED, i])
             if i >= cars:
                 continue
-            k = ints[kernel.LANE, i]
+            k = ints[layout.LANE, i]
             v.lane_index, v.lane = indices[k], lanes[k]
-            push = self.f[0, kernel.PUSH_X : kernel.PUSH_Y + 1, i].copy()
-            v.impact = push if ints[kernel.PUSHED, i] else None
-            if self.kinds[i] != kernel.EXECUTOR:
-                v.target_lane_index = indices[ints[kernel.TARGET_LANE, i]]
+            push = self.f[0, layout.PUSH_X : layout.PUSH_Y + 1, i].copy()
+            v.impact = push if ints[layout.PUSHED, i] else None
+            if self.kinds[i] != layout.EXECUTOR:
+                v.target_lane_index = indices[ints[layout.TARGET_LANE, i]]
         first = road.vehicles[0]
-        if self.kinds[0] == kernel.EXECUTOR:
+        if self.kinds[0] == layout.EXECUTOR:
             first.previous_lane, first.acceleration = int(self.ego.previous_lane[0]), float(self.ego.accel[0])
-        elif self.kinds[0] == kernel.MDP:
-            first.speed_index, first.target_speed = int(ints[kernel.SPEED_INDEX, 0]), rows[kernel.TARGET_SPEED][0]
+        elif self.kinds[0] == layout.MDP:
+            first.speed_index, first.target_speed = int(ints[layout.SPEED_INDEX, 0]), rows[layout.TARGET_SPEED][0]
 
     def _knows(self, road: Road) -> bool:
         return self._network is road.network and self._connected == road.neighbour_vehicles_connected_lanes
@@ -189,29 +195,32 @@ class Bridge:
             raise UnsupportedError("an empty road")
         kinds = [KINDS.get(type(v), -1) for v in everything]
         for i, (v, kind) in enumerate(zip(everything, kinds, strict=True)):
-            if kind < 0 or (kind == kernel.OBSTACLE) != (i >= cars):
+            if kind < 0 or (kind == layout.OBSTACLE) != (i >= cars):
                 raise UnsupportedError(f"{type(v).__name__} here")
-            if kind == kernel.EXECUTOR and i > 0:
+            if kind == layout.EXECUTOR and i > 0:
                 raise UnsupportedError("an executor's car that is not the first vehicle")
             if not (v.solid and v.collidable):
                 raise UnsupportedError("things that one can drive through")
             for name, value in CONSTANTS.items():
                 if getattr(v, name, value) != value:
                     raise UnsupportedError(f"{type(v).__name__} with another {name}")
-        self.f, self.g = np.zeros((1, kernel.FLOATS, n)), np.zeros((1, kernel.INTS, n), np.int64)
-        self.f[0, kernel.CAR_LENGTH], self.f[0, kernel.CAR_WIDTH] = [v.LENGTH for v in everything], 2.0
-        self.g[0, kernel.KIND] = kinds
-        self.scratch = kernel.new_scratch(n, len(self.tables.lanes))
+        self.f, self.g = np.zeros((1, layout.FLOATS, n)), np.zeros((1, layout.INTS, n), np.int64)
+        self.f[0, layout.CAR_LENGTH], self.f[0, layout.CAR_WIDTH] = (
+            [v.LENGTH for v in everything],
+            layout.VEHICLE_WIDTH_M,
+        )
+        self.g[0, layout.KIND] = kinds
+        self.scratch = layout.new_scratch(n, len(self.tables.lanes))
         first = everything[0]
-        if kinds[0] == kernel.EXECUTOR:
+        if kinds[0] == layout.EXECUTOR:
             bounds = first.scenario.ego
             self.ego = new_ego(
                 1, _NO_SPEEDS, False, first.pieces, first.gates, bounds.speed_floor_mps, bounds.speed_ceiling_mps
             )
         else:
-            self.ego = new_ego(1, first.target_speeds.astype(np.float64) if kinds[0] == kernel.MDP else _NO_SPEEDS)
+            self.ego = new_ego(1, first.target_speeds.astype(np.float64) if kinds[0] == layout.MDP else _NO_SPEEDS)
         self.kinds, self._everything = kinds, everything
 
 
 _NO_SPEEDS = np.array([0.0, 1.0])
-_MARKS = [kernel.LANE, kernel.TARGET_LANE, kernel.CRASHED, kernel.PUSHED]
+_MARKS = [layout.LANE, layout.TARGET_LANE, layout.CRASHED, layout.PUSHED]

@@ -5,88 +5,85 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 from highway_env.envs.common.observation import KinematicObservation
 from highway_env.road.lane import AbstractLane, StraightLane
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from sim_node.engine.kernel import Calls, new_calls, sources_digest
+from schemas.runtime.compiled import compiled
+from sim_node.engine.kernel.layout import Calls, new_calls
 from sim_node.engine.loops import COS, SIN, dot, one
 
 COLUMNS = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
 """The features that are known here; with others upstream's own code runs."""
+PRESENCE, X, Y, VX, VY, HEADING, COS_H, SIN_H = range(len(COLUMNS))
 
 
-def _compiled(sources: int) -> Any:
-    def kinematics(
-        calls: Calls,
-        places: Any,
-        heading: Any,
-        speed: Any,
-        ego: int,
-        cars: int,
-        start: Any,
-        direction: Any,
-        sight: float,
-        behind: float,
-        see_behind: bool,
-        ordered: bool,
-        absolute: bool,
-        ranges: Any,
-        clip: bool,
-        key: Any,
-        chosen: Any,
-        out: Any,
-    ) -> int:
-        """Road.close_objects_to and KinematicObservation.observe: rows of `COLUMNS` into `out`."""
-        wanted = out.shape[0] - 1
-        dx, dy = direction
-        x, y = places[ego]
-        own = dot(calls.loops, calls.args, calls.box, x - start[0], y - start[1], dx, dy)
-        n = 0
-        for i in range(places.shape[0]):
-            ox, oy = places[i, 0] - x, places[i, 1] - y
-            if i == ego or not math.sqrt(dot(calls.loops, calls.args, calls.box, ox, oy, ox, oy)) < sight:
-                continue
-            along = dot(calls.loops, calls.args, calls.box, places[i, 0] - start[0], places[i, 1] - start[1], dx, dy)
-            away = along - own
-            if not (away > behind or (see_behind and i < cars)):
-                continue
-            at = n
-            if ordered:
-                while at > 0 and key[at - 1] > abs(away):
-                    at -= 1
-            if at >= wanted:
-                continue
-            n = min(n + 1, wanted)
-            for k in range(n - 1, at, -1):
-                key[k], chosen[k] = key[k - 1], chosen[k - 1]
-            key[at], chosen[at] = abs(away), i
-        for row in range(n + 1):
-            i = ego if row == 0 else chosen[row - 1]
-            c = one(calls.loops, COS, calls.args, calls.box, heading[i])
-            s = one(calls.loops, SIN, calls.args, calls.box, heading[i])
-            out[row, 0], out[row, 1], out[row, 2] = 1.0, places[i, 0], places[i, 1]
-            out[row, 3], out[row, 4] = speed[i] * c, speed[i] * s
-            out[row, 5], out[row, 6], out[row, 7] = heading[i], c, s
-        if not absolute:
-            for row in range(1, n + 1):
-                for k in range(1, 5):
-                    out[row, k] -= out[0, k]
-        for k in range(8):
-            low, high = ranges[k, 0], ranges[k, 1]
-            if not np.isnan(low):
-                for row in range(n + 1):
-                    scaled = -1 + (out[row, k] - low) * 2 / (high - low)
-                    out[row, k] = min(max(scaled, -1.0), 1.0) if clip else scaled
-        return sources
-
-    return numba.njit(cache=True, error_model="numpy", _nrt=False)(kinematics)
+def _fill(
+    calls: Calls,
+    places: Any,
+    heading: Any,
+    speed: Any,
+    ego: int,
+    cars: int,
+    start: Any,
+    direction: Any,
+    sight: float,
+    behind: float,
+    see_behind: bool,
+    ordered: bool,
+    absolute: bool,
+    ranges: Any,
+    clip: bool,
+    key: Any,
+    chosen: Any,
+    out: Any,
+) -> None:
+    """Road.close_objects_to and KinematicObservation.observe: rows of `COLUMNS` into `out`."""
+    wanted = out.shape[0] - 1
+    dx, dy = direction
+    x, y = places[ego]
+    own = dot(calls.loops, calls.args, calls.box, x - start[0], y - start[1], dx, dy)
+    n = 0
+    for i in range(places.shape[0]):
+        ox, oy = places[i, 0] - x, places[i, 1] - y
+        if i == ego or not math.sqrt(dot(calls.loops, calls.args, calls.box, ox, oy, ox, oy)) < sight:
+            continue
+        along = dot(calls.loops, calls.args, calls.box, places[i, 0] - start[0], places[i, 1] - start[1], dx, dy)
+        away = along - own
+        if not (away > behind or (see_behind and i < cars)):
+            continue
+        at = n
+        if ordered:
+            while at > 0 and key[at - 1] > abs(away):
+                at -= 1
+        if at >= wanted:
+            continue
+        n = min(n + 1, wanted)
+        for k in range(n - 1, at, -1):
+            key[k], chosen[k] = key[k - 1], chosen[k - 1]
+        key[at], chosen[at] = abs(away), i
+    for row in range(n + 1):
+        i = ego if row == 0 else chosen[row - 1]
+        c = one(calls.loops, COS, calls.args, calls.box, heading[i])
+        s = one(calls.loops, SIN, calls.args, calls.box, heading[i])
+        out[row, PRESENCE], out[row, X], out[row, Y] = 1.0, places[i, 0], places[i, 1]
+        out[row, VX], out[row, VY] = speed[i] * c, speed[i] * s
+        out[row, HEADING], out[row, COS_H], out[row, SIN_H] = heading[i], c, s
+    if not absolute:
+        for row in range(1, n + 1):
+            for k in (X, Y, VX, VY):
+                out[row, k] -= out[0, k]
+    for k in range(len(COLUMNS)):
+        low, high = ranges[k, 0], ranges[k, 1]
+        if not np.isnan(low):
+            for row in range(n + 1):
+                scaled = -1 + (out[row, k] - low) * 2 / (high - low)
+                out[row, k] = min(max(scaled, -1.0), 1.0) if clip else scaled
 
 
-_kinematics = _compiled(sources_digest())
+_kinematics = compiled(_fill, inline=True, error_model="numpy", _nrt=False)
 _CALLS = new_calls()
 
 

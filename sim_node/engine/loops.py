@@ -2,30 +2,21 @@
 
 highway-env computes with numpy, whose `power`, `tan`, `arcsin` and `dot` give other last bits on other CPUs (AVX-512
 kernels, fused multiply-add). The kernel therefore calls the very functions that numpy would call here: equal by
-construction, wherever it runs. They also take whole arrays, many elements at a time.
+construction, wherever it runs. They also take whole arrays, many elements at a time. These functions run compiled only.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any
 
-import numba
 import numpy as np
-from llvmlite import ir  # type: ignore[import-untyped]
+from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 POWER, TAN, ARCTAN, ARCSIN, SIN, COS, DOT = range(7)
-
-_F = TypeVar("_F", bound=Callable[..., Any])
-
-
-def jit(function: _F) -> _F:
-    """Compile on first use; divisions by zero give inf and nan, as numpy's do."""
-    return cast(_F, numba.njit(function, error_model="numpy", forceinline=True, _nrt=False))
 
 
 class _Ufunc(ctypes.Structure):
@@ -67,7 +58,6 @@ def _call(typing_context: Any, function: Any, args: Any, dims: Any, steps: Any, 
     return types.void(*[types.int64] * 5), generate
 
 
-@jit
 def unary(loops: Any, which: int, args: Any, x: Any, out: Any, n: int) -> None:
     """out[:n] = f(x[:n]); contiguous float64; args: (16,) int64 of scratch."""
     if n == 0:
@@ -78,7 +68,6 @@ def unary(loops: Any, which: int, args: Any, x: Any, out: Any, n: int) -> None:
     _call(loops[which, 0], base, base + 24, base + 32, loops[which, 1])
 
 
-@jit
 def power(loops: Any, args: Any, x: Any, exponent: Any, out: Any, n: int) -> None:
     """out[:n] = x[:n] ** exponent[:n], as np.power."""
     args[0], args[1], args[2] = x.ctypes.data, exponent.ctypes.data, out.ctypes.data
@@ -87,7 +76,6 @@ def power(loops: Any, args: Any, x: Any, exponent: Any, out: Any, n: int) -> Non
     _call(loops[POWER, 0], base, base + 24, base + 32, loops[POWER, 1])
 
 
-@jit
 def dot(loops: Any, args: Any, box: Any, ax: float, ay: float, bx: float, by: float) -> float:
     """np.dot of two plane vectors; box: (5,) float64 of scratch."""
     p, q = ax * bx, ay * by
@@ -102,7 +90,6 @@ def dot(loops: Any, args: Any, box: Any, ax: float, ay: float, bx: float, by: fl
     return float(box[4])
 
 
-@jit
 def one(loops: Any, which: int, args: Any, box: Any, x: float) -> float:
     """f(x) of a single number."""
     if x == 0.0 and which != COS:  # exact, and the most frequent case

@@ -14,6 +14,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
+import highway_env  # noqa: F401  registers the environments
 import numpy as np
 from gymnasium.envs.registration import registry
 from highway_env.envs.common.abstract import AbstractEnv
@@ -21,14 +22,19 @@ from highway_env.road.road import Road
 from highway_env.utils import class_from_path
 from numpy.typing import NDArray
 
+from schemas.driving.road import HZ, ID
 from schemas.wire.messages import MetaAction
-from sim_node.engine import bridge, kernel
+from sim_node.engine import bridge
 from sim_node.engine.accelerated import accelerate
 from sim_node.engine.batched import Batched, BatchedRoads
+from sim_node.engine.kernel import layout
+from sim_node.env import ScenarioEnv
+from sim_node.observe import rows
 from sim_node.scenarios import SCENARIOS
+from sim_node.scenarios.scenario import streams
 
 DECISION_HZ = 5
-TICKS = 15 // DECISION_HZ
+TICKS = HZ // DECISION_HZ
 STOCK: dict[str, tuple[str, dict[str, Any]]] = {
     "highway-v0, 20 vehicles": ("highway-v0", {"vehicles_count": 20}),
     "highway-v0, 50 vehicles": ("highway-v0", {"vehicles_count": 50}),
@@ -84,8 +90,6 @@ def compare(case: str, seed: int, seconds: float) -> list[Figures]:
 
 def stock_class(name: str) -> type[AbstractEnv]:
     """The class behind one of highway-env's gymnasium ids."""
-    import highway_env  # noqa: F401
-
     entry = registry[name].entry_point
     if not isinstance(entry, str):
         raise ValueError(f"{name!r} has no class behind it")
@@ -133,12 +137,7 @@ def _compare_stock(case: str, seed: int, seconds: float) -> list[Figures]:
 
 
 def _compare_ours(case: str, seed: int, seconds: float) -> list[Figures]:
-    from sim_node.env import EgoVehicle, ScenarioEnv
-    from sim_node.observe import rows
-    from sim_node.scenarios.scenario import streams
-
     scenario = SCENARIOS[case]
-    bridge.KINDS.setdefault(EgoVehicle, kernel.EXECUTOR)
     plain = type("Plain", (ScenarioEnv,), {"_simulate": AbstractEnv._simulate})
     slow, fast = (kind(scenario, decision_hz=DECISION_HZ, duration_s=None) for kind in (plain, accelerate(ScenarioEnv)))
     worst_observation = _gap(slow.reset(seed=seed)[0], fast.reset(seed=seed)[0])
@@ -169,9 +168,9 @@ def _compare_ours(case: str, seed: int, seconds: float) -> list[Figures]:
                 _set_points(slow.ego), [many.target_speed[0], many.target_lane[0], many.previous_lane[0], many.accel[0]]
             ),
         )
-        seen = many.rows[0][many.rows[0, :, 0] >= 0]
-        table = rows(slow, len(seen))
-        batched_rows = _worst(batched_rows, _gap(table[np.argsort(table[:, 0])], seen))
+        seen = many.rows[0][many.rows[0, :, ID] >= 0]
+        table = rows(slow.road, slow.ego, scenario.sight_m, slow.lane_map, len(seen))
+        batched_rows = _worst(batched_rows, _gap(table[np.argsort(table[:, ID])], seen))
         worst_observation = _worst(worst_observation, _gap(theirs[0], ours[0]))
         reward = _worst(reward, abs(float(theirs[1]) - float(ours[1])))
         flags += theirs[2:4] != ours[2:4]
@@ -206,16 +205,16 @@ def _state(road: Road) -> State:
     reader.read(road)
     f, g = reader.f[0], reader.g[0]
     for i, v in enumerate(road.vehicles):
-        f[kernel.STEERING, i], f[kernel.ACCEL, i] = v.action["steering"], v.action["acceleration"]
+        f[layout.STEERING, i], f[layout.ACCEL, i] = v.action["steering"], v.action["acceleration"]
     return _clean(f, g), g
 
 
 def _clean(f: NDArray[np.float64], g: NDArray[np.int64]) -> NDArray[np.float64]:
     """Without impacts that are none."""
     return np.where(
-        (np.arange(len(f))[:, None] >= kernel.PUSH_X)
-        & (np.arange(len(f))[:, None] <= kernel.PUSH_Y)
-        & (g[kernel.PUSHED] == 0),
+        (np.arange(len(f))[:, None] >= layout.PUSH_X)
+        & (np.arange(len(f))[:, None] <= layout.PUSH_Y)
+        & (g[layout.PUSHED] == 0),
         0.0,
         f,
     )

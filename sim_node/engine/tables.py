@@ -15,6 +15,8 @@ X0, Y0, WAY, LENGTH, HEADING, WIDTH, LIMIT, AMPLITUDE, PULSATION, PHASE, FORBIDD
 """Columns of `Roads.lanes`. WAY: +1 along x, -1 against it; LIMIT: nan without one; AMPLITUDE: 0 on straight lanes."""
 FIRST, COUNT, LINKS, LINKS_END, NEXT, NEXT_END = range(6)
 """Columns of `Roads.graph`: first lane and number of lanes of its edge, its slices of `links` and of `nexts`."""
+LINK_LANE, LINK_OFFSET = range(2)
+"""Columns of `Roads.links`."""
 
 
 class UnsupportedError(Exception):
@@ -29,9 +31,9 @@ class Roads(NamedTuple):
     graph: NDArray[np.int64]
     """(L, 6) structure; see the column names."""
     links: NDArray[np.float64]
-    """(K, 2) where neighbours on a lane are searched: (lane, offset of its longitudinal coordinate in m)."""
+    """(K, 2) where neighbours on a lane are searched: the lane, the offset of its longitudinal coordinate in m."""
     nexts: NDArray[np.int64]
-    """(E, 2) the edges that follow a lane: (first lane, number of lanes)."""
+    """(E, 2) the edges that follow a lane: FIRST lane and COUNT of lanes."""
 
 
 class Tables(NamedTuple):

@@ -15,11 +15,17 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from schemas.driving.intent import ANY_LANE, lead_of
+from schemas.driving.intent import ANY_LANE
+from schemas.driving.road import NOBODY, lead_id
 from schemas.wire.messages import Lane
 
 Range = tuple[float, float]
-CAR_LENGTH_M = 5.0
+PIECE_LANE, PIECE_START, PIECE_END, PIECE_Y, PIECE_AMPLITUDE, PIECE_PULSATION, PIECE_PHASE = range(7)
+"""Columns of `Scenario.pieces`."""
+GATE_START, GATE_END, GATE_OPENS, GATE_RAMP = range(4)
+"""Columns of `Scenario.gates`. OPENS: where changes out of the lane begin; RAMP: 1 where nobody changes into it."""
+LEFT_ROAD_M = 20.0
+"""Who is this near to the end of its road has left it."""
 CLEAR_M = 15.0
 """A car that would start nearer than this to one that is already there, centre to centre, is left out."""
 ALWAYS = -math.inf
@@ -209,11 +215,11 @@ class Scenario:
         ]
 
     def pieces(self) -> NDArray[np.float64]:
-        """(P, 7) lane, start, end, y, amplitude, pulsation, phase: the table that `centre_line` reads."""
+        """(P, 7) in the columns `PIECE_...`: the table that `centre_line` reads."""
         return np.array(self._pieces)
 
     def gates(self) -> NDArray[np.float64]:
-        """(L, 4) start, end, change_from, is a ramp (0 or 1): where lane changes are possible at all."""
+        """(L, 4) in the columns `GATE_...`: where lane changes are possible at all."""
         return np.array(
             [
                 (plan.pieces[0].start_m, plan.pieces[-1].end_m, plan.change_from_m, plan.kind == "ramp")
@@ -298,11 +304,11 @@ def draw_wish(
     headway = float(rng.uniform(0.8, 2.5))
     if scenario.wish_lanes:
         lane = ANY_LANE if rng.random() < 0.5 else int(rng.choice(scenario.wish_lanes))
-        return lane, -1, speed, headway
-    lead = lead_of(rows, home)
+        return lane, NOBODY, speed, headway
+    lead = lead_id(rows, home)
     if lead >= 0 and rng.random() < overtake_share:
         return home, lead, high, headway
-    return home, -1, speed, headway
+    return home, NOBODY, speed, headway
 
 
 def centre_line(pieces: Any, lane: int, x: float) -> tuple[float, float]:
@@ -312,14 +318,15 @@ def centre_line(pieces: Any, lane: int, x: float) -> tuple[float, float]:
     """
     found = -1
     for i in range(len(pieces)):
-        if pieces[i][0] == lane and (found < 0 or x >= pieces[i][1]):
+        if pieces[i][PIECE_LANE] == lane and (found < 0 or x >= pieces[i][PIECE_START]):
             found = i
     p = pieces[found]
-    if p[4] == 0.0:
-        return p[3], 0.0
-    along = min(max(x, p[1]), p[2]) - p[1]
-    angle = p[5] * along + p[6]
-    return p[3] + p[4] * math.sin(angle), math.atan(p[4] * p[5] * math.cos(angle))
+    if p[PIECE_AMPLITUDE] == 0.0:
+        return p[PIECE_Y], 0.0
+    along = min(max(x, p[PIECE_START]), p[PIECE_END]) - p[PIECE_START]
+    angle = p[PIECE_PULSATION] * along + p[PIECE_PHASE]
+    slope = p[PIECE_AMPLITUDE] * p[PIECE_PULSATION] * math.cos(angle)
+    return p[PIECE_Y] + p[PIECE_AMPLITUDE] * math.sin(angle), math.atan(slope)
 
 
 def straight(edge: tuple[str, str], length_m: float, y_m: float) -> tuple[Piece, ...]:

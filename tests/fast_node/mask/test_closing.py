@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 
-from fast_node.mask import OPEN, PRESETS, RULES, VERSION
+from fast_node.mask import OPEN, PRESETS, RULES, VERSION, close_actions
 from schemas.driving.road import ID
+from schemas.runtime.compiled import compiled
 from schemas.wire.messages import MetaAction
 from tests import mask_behaviour
 from tests.mask_scenes import SIGHT_M, judge, presets, scenes
@@ -30,16 +31,14 @@ def test_the_mask_does_what_its_version_names():
     assert {VERSION: mask_behaviour.digest()} == BEHAVIOUR, "the mask behaves differently: bump VERSION and train anew"
 
 
+COMPILED = compiled(close_actions)
+
+
 @settings(max_examples=400, deadline=None)
 @given(scenes(), presets)
 def test_the_compiled_mask_of_training_closes_what_the_driving_mask_closes(scene, preset):
-    import numba
-
-    from fast_node.training import rollout
-
-    assert isinstance(rollout._close, numba.core.registry.CPUDispatcher)
     rule, vehicle, near = np.zeros(6, np.int64), np.zeros(6, np.int64), np.zeros(3 * len(scene.lanes), np.int64)
-    rollout._close(
+    COMPILED(
         np.array(scene.rows),
         np.array(scene.lanes),
         scene.target_speed,

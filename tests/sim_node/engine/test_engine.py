@@ -17,13 +17,14 @@ from highway_env.vehicle.objects import Obstacle
 pytest.importorskip("numba")
 
 from deploy.bench import sim
-from schemas.driving import measures
+from schemas.driving.road import ID, X
+from schemas.runtime.compiled import compiled
 from schemas.wire.messages import MetaAction
-from sim_node import executor
-from sim_node.engine import bridge, kernel, loops, parity
+from sim_node.engine import bridge, loops, parity
 from sim_node.engine.accelerated import accelerate
 from sim_node.engine.batched import Batched
-from sim_node.engine.kernel import ABSENT_X_M
+from sim_node.engine.kernel import layout, tick
+from sim_node.engine.kernel.layout import ABSENT_X_M
 from sim_node.scenarios import SCENARIOS
 from sim_node.traffic import TrafficVehicle
 
@@ -63,7 +64,8 @@ def test_the_compiled_constants_are_the_installed_highway_envs() -> None:
 def test_compiled_calls_of_numpy_give_numpys_own_bits() -> None:
     rng = np.random.default_rng(0)
     x, y = rng.uniform(0.0, 1.0, 999), rng.uniform(3.5, 4.5, 999)
-    calls, out = kernel.new_calls(), np.empty(999)
+    calls, out = layout.new_calls(), np.empty(999)
+    unary, power, dot = (compiled(f, _nrt=False) for f in (loops.unary, loops.power, loops.dot))
     for which, function in (
         (loops.TAN, np.tan),
         (loops.ARCTAN, np.arctan),
@@ -71,12 +73,12 @@ def test_compiled_calls_of_numpy_give_numpys_own_bits() -> None:
         (loops.SIN, np.sin),
         (loops.COS, np.cos),
     ):
-        loops.unary(calls.loops, which, calls.args, x, out, 999)
+        unary(calls.loops, which, calls.args, x, out, 999)
         assert [function(v) for v in x] == out.tolist()
-    loops.power(calls.loops, calls.args, x, y, out, 999)
+    power(calls.loops, calls.args, x, y, out, 999)
     assert [np.power(a, b) for a, b in zip(x, y, strict=True)] == out.tolist()
     for a, b, c, d in rng.normal(size=(99, 4)):
-        assert loops.dot(calls.loops, calls.args, calls.box, a, b, c, d) == np.dot([a, b], [c, d])
+        assert dot(calls.loops, calls.args, calls.box, a, b, c, d) == np.dot([a, b], [c, d])
 
 
 @pytest.mark.parametrize(
@@ -191,11 +193,11 @@ def test_scenes_are_reproducible_and_independent() -> None:
 
 def test_rows_mirror_the_state_and_the_unseen_are_far_away() -> None:
     world = driven(Batched(SCENARIOS["two-way"], 32, 3), MetaAction.CRUISE, 30)
-    unseen = world.rows[..., 0] < 0
+    unseen = world.rows[..., ID] < 0
     assert world.rows.dtype == np.float32
-    assert np.all(world.rows[unseen][:, 1] == ABSENT_X_M)
-    assert np.array_equal(world.rows[..., 1][~unseen], world.x.astype(np.float32)[~unseen])
-    assert np.all(world.rows[:, 0, 0] == 0)
+    assert np.all(world.rows[unseen][:, X] == ABSENT_X_M)
+    assert np.array_equal(world.rows[..., X][~unseen], world.x.astype(np.float32)[~unseen])
+    assert np.all(world.rows[:, 0, ID] == 0)
     assert unseen.any()
 
 
@@ -237,14 +239,7 @@ def test_one_compilation_serves_every_road_and_every_number_of_scenes() -> None:
     env = AccelEnv({"vehicles_count": 4, "action": {"type": "DiscreteMetaAction", "target_speeds": [0, 15, 30]}})
     env.reset(seed=0)
     env.step(3)
-    assert len(kernel.advance.signatures) == 1  # type: ignore[attr-defined]
-
-
-def test_the_cache_key_follows_the_sources(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = kernel.sources_digest()
-    assert before == kernel.sources_digest()
-    monkeypatch.setattr(executor, "__file__", measures.__file__)
-    assert before != kernel.sources_digest()
+    assert len(tick.advance.signatures) == 1  # type: ignore[attr-defined]
 
 
 def test_the_bench_measures_every_variant_and_reports_parity() -> None:
