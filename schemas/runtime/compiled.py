@@ -54,8 +54,7 @@ def compiled(function: F, *, inline: bool = False, **options: Any) -> F:
     own defaults a division by zero raises, as in plain Python.
     """
     assert isinstance(function, FunctionType)
-    copies = _Copies({**options, "forceinline": True} if inline else options)
-    dispatcher = numba.njit(copies.plain(function), **options)
+    dispatcher = _Copies({**options, "forceinline": True} if inline else options).of(function, options)
     try:
         dispatcher._cache = _Disk(f"{function.__module__}.{function.__qualname__}", digest(function, options, inline))
     except _UnknownError:
@@ -109,26 +108,25 @@ class _Copies:
     """Compiled copies of functions that call each other, and of the modules that they are called through."""
 
     def __init__(self, options: dict[str, Any]) -> None:
+        """options: of `numba.njit`, for all but the outermost function."""
         self._options = options
         self._made: dict[Any, Any] = {}
 
-    def plain(self, function: FunctionType) -> FunctionType:
-        """A plain copy of a function whose globals are compiled copies."""
+    def of(self, function: FunctionType, options: dict[str, Any]) -> Any:
+        """A compiled copy of a function, whose globals are compiled copies."""
         scope: dict[str, Any] = {"__name__": function.__module__, "__builtins__": __builtins__}
         cells = tuple(CellType(self._global(cell.cell_contents, frozenset())) for cell in function.__closure__ or ())
         copy = FunctionType(function.__code__, scope, function.__name__, function.__defaults__, cells)
         copy.__qualname__, copy.__kwdefaults__ = function.__qualname__, function.__kwdefaults__
-        self._made[function] = numba.njit(copy, **self._options)  # before its globals: it may be called by them
+        made = self._made[function] = numba.njit(copy, **options)  # before its globals, which may call it
         known, attributes = _reached(function)
         scope.update({name: self._global(value, attributes) for name, value in known.items()})
-        return copy
+        return made
 
     def _global(self, value: Any, attributes: frozenset[str]) -> Any:
         """What stands for a global value in compiled code; `attributes`: what a module may be asked for."""
         if isinstance(value, FunctionType) and _is_ours(value.__module__):
-            if value not in self._made:
-                self.plain(value)
-            return self._made[value]
+            return self._made[value] if value in self._made else self.of(value, self._options)
         if isinstance(value, ModuleType) and _is_ours(value.__name__):
             key = value, attributes
             if key not in self._made:
@@ -152,7 +150,8 @@ def _text(value: Any, seen: set[Any], attributes: frozenset[str] = frozenset()) 
             return
         seen.add(value)
         yield from _text(value.__code__, seen)
-        yield from _text((value.__defaults__, *(cell.cell_contents for cell in value.__closure__ or ())), seen)
+        cells = (cell.cell_contents for cell in value.__closure__ or ())
+        yield from _text((value.__defaults__, *sorted((value.__kwdefaults__ or {}).items()), *cells), seen)
         known, wanted = _reached(value)
         for name, found in known.items():
             yield name
@@ -237,6 +236,9 @@ class _Disk(NullCache):  # type: ignore[misc]
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
             handle, unfinished = tempfile.mkstemp(dir=file.parent, prefix="unfinished-")
+        except OSError:
+            return  # no cache: it has been compiled in memory
+        try:
             with open(handle, "wb") as out:
                 out.write(hashlib.sha256(contents).digest() + contents)
             os.replace(unfinished, file)  # whole or not at all, whoever else compiles the same
@@ -244,7 +246,7 @@ class _Disk(NullCache):  # type: ignore[misc]
             for old in written[:-KEPT]:
                 old.unlink(missing_ok=True)
         except OSError:
-            return
+            Path(unfinished).unlink(missing_ok=True)
 
     def _file(self, sig: Any, codegen: Any) -> Path:
         arguments = getattr(sig, "args", sig)
