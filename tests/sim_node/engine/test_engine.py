@@ -65,7 +65,9 @@ def test_compiled_calls_of_numpy_give_numpys_own_bits() -> None:
     rng = np.random.default_rng(0)
     x, y = rng.uniform(0.0, 1.0, 999), rng.uniform(3.5, 4.5, 999)
     calls, out = layout.new_calls(), np.empty(999)
-    unary, power, dot = (compiled(f, _nrt=False) for f in (loops.unary, loops.power, loops.dot))
+    unary = compiled(loops.unary, _nrt=False)
+    power = compiled(loops.power, _nrt=False)
+    dot = compiled(loops.dot, _nrt=False)
     for which, function in (
         (loops.TAN, np.tan),
         (loops.ARCTAN, np.arctan),
