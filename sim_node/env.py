@@ -15,7 +15,7 @@ from highway_env.road.road import Road
 from numpy.typing import NDArray
 
 from schemas.driving.features import BOUND, FEATURES, N_ROWS, features
-from schemas.driving.intent import ANY_LANE, Wish
+from schemas.driving.intent import ANY_LANE, Intent
 from schemas.driving.road import HZ
 from schemas.wire.messages import POLICY_ACTIONS, Lane, MetaAction
 from sim_node import executor
@@ -133,7 +133,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         return int(self.config["simulation_frequency"])
 
     @property
-    def wish(self) -> Wish:
+    def wish(self) -> Intent:
         """What the ego is asked for now."""
         return self._wishes.now
 

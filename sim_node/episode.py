@@ -11,7 +11,7 @@ from highway_env.vehicle.objects import Obstacle
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from schemas.driving.intent import ANY_LANE, Wish, wished_lane
+from schemas.driving.intent import ANY_LANE, Intent, intended_lane
 from schemas.driving.measures import TTC_CAP_S
 from schemas.driving.reward import reward, shortfall
 from schemas.driving.road import NOBODY, lead_id
@@ -62,7 +62,7 @@ class Wishes:
         self._fixed = False
         self._told: tuple[int, int, float, float] = (ANY_LANE, NOBODY, 0.0, 1.5)
         self._rng = np.random.default_rng(0)
-        self.now = Wish(ANY_LANE, scenario.ego.speed_ceiling_mps, 1.5)
+        self.now = Intent(ANY_LANE, scenario.ego.speed_ceiling_mps, 1.5)
 
     def begin(self, rng: Generator, rows: Any, lane: int) -> None:
         """A new episode, whose directives come from `rng`. rows (V, 9); lane: the ego's."""
@@ -89,14 +89,14 @@ class Wishes:
     def _update(self, rows: Any) -> None:
         lane, passed, speed, headway = self._told
         if passed >= 0:
-            lane = wished_lane(rows, lane, passed)
-        self.now = Wish(lane, speed, headway)
+            lane = intended_lane(rows, lane, passed)
+        self.now = Intent(lane, speed, headway)
 
 
 def earned(
     rows: NDArray[np.float32],
     ego: EgoVehicle,
-    wish: Wish,
+    wish: Intent,
     action: int,
     speed: float,
     accel_square: float,

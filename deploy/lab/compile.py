@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from highway_env.envs import HighwayEnv
 
-from deploy.lab.evaluate import drive
+from deploy.lab.agents import drive
 from schemas.driving.road import DT_S
 from schemas.runtime.compiled import cache_folder
 from sim_node.engine.accelerated import accelerate

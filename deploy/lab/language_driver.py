@@ -27,7 +27,7 @@ from deploy.run.model_server import embedded_server
 from deploy.run.processes import choose_model
 from fast_node.policies.rule import rule_logits
 from fast_node.training.rollout import Driver, Fleet
-from schemas.driving.intent import wished_lane
+from schemas.driving.intent import intended_lane
 from schemas.driving.road import DECISION_TICKS, HZ, ID, X
 from schemas.runtime.clock import NS, Clock, MonotonicClock
 from schemas.runtime.process import ConfigError
@@ -141,7 +141,7 @@ class World:
         """The lane that the passenger wishes each ego in now, for the measures: `Fleet.look` without the mask."""
         fleet = self.fleet
         for scene, rows in enumerate(self.batch.rows.tolist()):
-            fleet.wish[scene] = wished_lane(rows, int(fleet.told_lane[scene]), int(fleet.pass_id[scene]))
+            fleet.wish[scene] = intended_lane(rows, int(fleet.told_lane[scene]), int(fleet.pass_id[scene]))
 
     def state(self) -> tuple[NDArray[Any], ...]:
         """What the egos see now, by scene: rows, speed and lane set-points, the lane that a change left."""

@@ -17,7 +17,7 @@ from fast_node import choice, mask
 from fast_node.choice import HELD, MASKED
 from fast_node.mask.vocabulary import AHEAD, FACING
 from schemas.driving.features import FEATURES, N_ROWS, Array, policy_input
-from schemas.driving.intent import ANY_LANE, wished_lane
+from schemas.driving.intent import ANY_LANE, intended_lane
 from schemas.driving.measures import TTC_CAP_S, ttc_s
 from schemas.driving.reward import reward, shortfall
 from schemas.driving.road import DECISION_TICKS, LANE, LANE_END, LANE_Y, VX, X, gap_between
@@ -60,7 +60,7 @@ def _look_all(
         )
         if not masked:
             rule[s] = mask.OPEN
-        wish_lane[s] = told_lane[s] if pass_id[s] < 0 else wished_lane(rows[s], told_lane[s], pass_id[s])
+        wish_lane[s] = told_lane[s] if pass_id[s] < 0 else intended_lane(rows[s], told_lane[s], pass_id[s])
         if obeyed:
             choice.narrow(
                 rule[s],

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from schemas.driving.road import BEHIND_M as BEHIND_M
-from schemas.driving.road import ID, LENGTH, NOBODY, VX, X, lead_id
+from schemas.driving.road import ID, LENGTH, NOBODY, VX, X
 
 ANY_LANE = -1
 PASS_SIGHT_M = 60.0
@@ -41,8 +41,3 @@ def intended_lane(rows: Any, home: int, pass_id: int) -> int:
             if 0.0 < ahead < max(PASS_SIGHT_M, PASS_SIGHT_S * ego[VX]):
                 return home - 1
     return home
-
-
-Wish = Intent
-lead_of = lead_id
-wished_lane = intended_lane
