@@ -1,0 +1,1 @@
+"""Films: a drive as a moving picture, without a screen."""
