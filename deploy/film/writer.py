@@ -50,8 +50,14 @@ def _animation(path: Path, pictures: Iterable[Picture], hz: float) -> int:
     if not frames:
         return 0
     more: dict[str, Any] = {"optimize": True, "disposal": 1} if path.suffix == ".gif" else {"quality": 70, "method": 3}
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=durations_ms(len(frames), hz, path.suffix),
-                   loop=0, **more)
+    frames[0].save(
+        path,
+        save_all=True,
+        append_images=frames[1:],
+        duration=durations_ms(len(frames), hz, path.suffix),
+        loop=0,
+        **more,
+    )
     return len(frames)
 
 
