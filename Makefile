@@ -4,7 +4,7 @@ BIN := .venv/bin
 TEXT ?= I'm in a hurry to get to work, I want to drive faster
 export TEXT
 
-.PHONY: setup setup-dev run say test parity difficulty study baselines picture check clean
+.PHONY: setup setup-dev run say test parity difficulty study baselines film picture check clean
 .DEFAULT_GOAL := run
 
 # What driving, speaking and evaluating need: no torch.
@@ -24,7 +24,7 @@ setup-dev: .venv/.dev
 # torch first and alone: it is the largest by far.
 .venv/.dev: .venv/.driver
 	$(BIN)/python -m pip install -q -c constraints.txt torch
-	$(BIN)/python -m pip install -q -c constraints.txt -e '.[embedded,train,baselines,dev]'
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[embedded,train,baselines,view,dev]'
 	touch $@
 
 run: setup
@@ -55,7 +55,11 @@ baselines: setup-dev
 	  $(BIN)/fastslow train --algorithm $$a --out fast_node/checkpoints/$$a-masked.safetensors || exit; \
 	done
 
-# The README's picture, after the policy has changed.
+# The README's film, after the policy has changed.
+film: setup-dev
+	$(BIN)/fastslow video --scenario two-way-natural --seed 1002 --duration 24 -o docs/drive.gif $(ARGS)
+
+# The picture of a delay in docs/roads.md.
 picture: setup-dev
 	$(BIN)/python -m deploy.lab.lockstep docs/run.png
 

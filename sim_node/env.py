@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from schemas.driving.features import BOUND, FEATURES, N_ROWS, features
 from schemas.driving.intent import ANY_LANE, Intent
 from schemas.driving.road import HZ
-from schemas.wire.messages import POLICY_ACTIONS, Lane, MetaAction
+from schemas.wire.messages import POLICY_ACTIONS, Lane, MetaAction, Observation
 from sim_node import executor
+from sim_node.drawing import picture
 from sim_node.ego import EgoVehicle
 from sim_node.engine.accelerated import Accelerated
 from sim_node.episode import Wishes, earned, has_reached, populate
@@ -193,6 +194,38 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         if self.render_mode == "human":
             self.render()
         return (observation, worth, self._is_terminated(), self._is_truncated(), self._info(observation, int(action)))
+
+    def seen_at(self, epoch: int, tick: int, now_ns: int, applied_tick: int) -> Observation:
+        """What the ego sees now, as the message of this tick."""
+        ego, scenario = self.ego, self.scenario
+        return Observation(
+            epoch=epoch,
+            stamp_ns=now_ns,
+            tick=tick,
+            scenario=scenario.name,
+            lanes=self.published_lanes(),
+            rows=self.seen().astype("<f4", copy=False).tobytes(),
+            acceleration_mps2=float(ego.acceleration),
+            target_speed_mps=float(ego.target_speed),
+            target_lane=ego.target_lane,
+            goal_x_m=scenario.end_x_m,
+            crashed=bool(ego.crashed),
+            applied_tick=applied_tick,
+            hz=self.hz,
+            previous_lane=ego.previous_lane,
+            sight_m=scenario.sight_m,
+        )
+
+    def update_metadata(self, video_real_time_ratio: float = 1.0) -> None:
+        """A picture is one decision long, so a recorded video runs at the speed of the drive."""
+        self.metadata["render_fps"] = video_real_time_ratio * self.hz / self._ticks_per_decision
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """With `render_mode="rgb_array"`: (height, width, 3) of the road from above, drawn without a screen."""
+        if self.render_mode == "rgb_array":
+            return picture(self.seen_at(0, self.steps, 0, -1))
+        super().render()
+        return None
 
     def tick(self, meta: int) -> None:
         """One tick of the world under one meta-action, without observing it."""

@@ -132,24 +132,7 @@ class SimNode:
 
     def observation(self, now_ns: int) -> Observation:
         """What the ego sees at the current tick."""
-        env, ego = self._env, self._env.ego
-        return Observation(
-            epoch=self.epoch,
-            stamp_ns=now_ns,
-            tick=self.tick,
-            scenario=env.scenario.name,
-            lanes=env.published_lanes(),
-            rows=env.seen().astype("<f4", copy=False).tobytes(),
-            acceleration_mps2=float(ego.acceleration),
-            target_speed_mps=float(ego.target_speed),
-            target_lane=ego.target_lane,
-            goal_x_m=env.scenario.end_x_m,
-            crashed=bool(ego.crashed),
-            applied_tick=self._applied_tick,
-            hz=env.hz,
-            previous_lane=ego.previous_lane,
-            sight_m=env.scenario.sight_m,
-        )
+        return self._env.seen_at(self.epoch, self.tick, now_ns, self._applied_tick)
 
     def take_events(self) -> list[Event]:
         """Events since the last call."""

@@ -24,13 +24,19 @@ def write_film(path: Path, pictures: Iterable[Picture], hz: float = HZ) -> int:
 
     Raises `ConfigError` for an unknown suffix, a missing package, or a drive without a single picture.
     """
-    if path.suffix not in SUFFIXES:
-        raise ConfigError(f"{path.name}: a film ends in {', '.join(SUFFIXES)}")
+    checked(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     count = _mp4(path, pictures, hz) if path.suffix == ".mp4" else _animation(path, pictures, hz)
     if not count:
         raise ConfigError(f"{path.name}: there is nothing to show")
     return count
+
+
+def checked(path: Path) -> Path:
+    """`path` itself. Raises `ConfigError` where its suffix is none that a film can have."""
+    if path.suffix not in SUFFIXES:
+        raise ConfigError(f"{path.name}: a film ends in {', '.join(SUFFIXES)}")
+    return path
 
 
 def _animation(path: Path, pictures: Iterable[Picture], hz: float) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from schemas.driving.road import HZ
 from schemas.runtime.bus import LocalBus
 from schemas.runtime.clock import NS
 from schemas.wire import topics
-from schemas.wire.messages import Directive, Event, EventKind, Observation
+from schemas.wire.messages import Action, Directive, Event, EventKind, Observation
 from sim_node.config import SimConfig
 from sim_node.node import SimNode
 
@@ -64,18 +64,25 @@ def overtake_at(at_s: float, ttl_s: float = 120.0) -> Ask:
     return ask
 
 
-def run_episode(
-    seed: int, policy: NamedPolicy, ask: Ask, *, duration_s: float = 60.0, scenario: str = "two-way"
-) -> Episode:
-    """Drive one episode; the messages are encoded and decoded as on the real bus."""
+@dataclass(frozen=True)
+class Tick:
+    """What the nodes said at one tick of a lock-step drive."""
+
+    observation: Observation
+    action: Action
+    events: list[Event]
+    directive: Directive | None
+    """The newest one so far."""
+
+
+def drive(sim: SimNode, policy: NamedPolicy, ask: Ask, duration_s: float, preset: str | None = None) -> Iterator[Tick]:
+    """Drive one episode tick by tick, until it is over or `duration_s` have passed; the messages are encoded and
+    decoded as on the real bus. preset: of the mask, by default the policy's. `sim` is a tick ahead of what is yielded.
+    """
     bus = LocalBus()
     observations, actions = bus.subscribe(topics.OBSERVATION), bus.subscribe(topics.ACTION)
     directives = bus.subscribe(topics.DIRECTIVE)
-    sim, fast = (
-        SimNode(SimConfig(scenario=scenario, seed=seed)),
-        FastNode(FastConfig(), policy, PRESETS[policy.mask_preset]),
-    )
-    episode = Episode(seed)
+    fast = FastNode(FastConfig(), policy, PRESETS[preset or policy.mask_preset])
     sim.reset(1)
     bus.publish(topics.OBSERVATION, sim.observation(0))
     for k in range(round(duration_s * HZ)):
@@ -85,16 +92,25 @@ def run_episode(
             bus.publish(topics.DIRECTIVE, directive)
         action, events = fast.step(seen, directives.peek(), now_ns)
         bus.publish(topics.ACTION, action)
-        episode.events += events
-        episode.overridden += action.source == "masked"
-        if episode.fulfilled_s is None and any(e.kind == "fulfilled" for e in events):
-            episode.fulfilled_s = k / HZ
         bus.publish(topics.OBSERVATION, sim.step(actions.wait(), now_ns + NS // HZ))
+        yield Tick(seen, action, events, directives.peek())
+        if sim.over:
+            return
+
+
+def run_episode(
+    seed: int, policy: NamedPolicy, ask: Ask, *, duration_s: float = 60.0, scenario: str = "two-way"
+) -> Episode:
+    """Drive one episode and measure it."""
+    episode, sim = Episode(seed), SimNode(SimConfig(scenario=scenario, seed=seed))
+    for tick in drive(sim, policy, ask, duration_s):
+        episode.events += tick.events
+        episode.overridden += tick.action.source == "masked"
+        if episode.fulfilled_s is None and any(e.kind == "fulfilled" for e in tick.events):
+            episode.fulfilled_s = tick.observation.tick / HZ
         episode.speeds.append(sim.speed_mps)
         episode.lanes.append(sim.lane)
-        episode.accelerations.append(seen.acceleration_mps2)
-        if sim.over:
-            break
+        episode.accelerations.append(tick.observation.acceleration_mps2)
     episode.seconds = len(episode.speeds) / HZ
     episode.collided = sim.metrics.collisions > 0
     episode.passed = sim.metrics.passed > 0

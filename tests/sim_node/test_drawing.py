@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -67,3 +68,14 @@ def test_the_end_of_a_lane_is_barred_where_it_is_in_sight(ends_m):
     ramp = (LANES[1], Lane(y_m=8.0, start_m=0.0, end_m=ends_m, kind="ramp", speed_limit_mps=8.0))
     near, far = picture(seen(lanes=ramp, target_lane=0)), picture(seen(lanes=(LANES[1],), target_lane=0))
     assert (count(near, RED) > count(far, RED)) == (ends_m < 540.0)
+
+
+@pytest.mark.parametrize("decision_hz", [1, 5, 15])
+def test_a_video_of_the_environment_runs_at_the_speed_of_the_drive(decision_hz):
+    env = gymnasium.make("sim_node:FastSlow-merge-v0", decision_hz=decision_hz, render_mode="rgb_array")
+    env.reset(seed=7)
+    before = env.render()
+    env.step(int(MetaAction.CRUISE))
+    assert env.metadata["render_fps"] == decision_hz
+    assert before.shape == (SIZE[1], SIZE[0], 3)
+    assert (env.render() != before).any()

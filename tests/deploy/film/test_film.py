@@ -5,25 +5,30 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deploy.film.drive import default_node, drive, worded
+from deploy.film.drive import Passenger, Words, pictures, worded
 from deploy.film.writer import durations_ms, write_film
+from fast_node.policies.load import load_policy
 from schemas.runtime.process import ConfigError
-from schemas.wire.messages import Directive, Event, Observation
+from schemas.wire.messages import Event, EventKind, Reason
 from sim_node.config import SimConfig
+from tests.scenes import HIGHWAY, car, observation
 
 PICTURES = [np.full((40, 80, 3), 6 * k, np.uint8) for k in range(30)]
 
 
-def test_a_drive_shows_a_shot_for_every_tick_and_the_directive_from_when_it_is_given():
-    def ask(observation: Observation, now_ns: int) -> Directive | None:
-        if observation.tick != 5:
-            return None
-        return Directive(epoch=1, stamp_ns=now_ns, id=1, command_id=1, scene_tick=5, target_speed_mps=20.0)
+def test_a_drive_has_a_picture_for_every_tick_and_shows_what_was_said():
+    silent = list(pictures(SimConfig(scenario="highway", seed=1000), load_policy("rule"), None, 1.0))
+    told = list(pictures(SimConfig(scenario="highway", seed=1000), load_policy("rule"), Words("go faster", 0.4), 1.0))
+    assert len(silent) == len(told) == 15
+    changed = [k for k in range(15) if (silent[k][:50, 230:] != told[k][:50, 230:]).any()]
+    assert changed == list(range(6, 15))
 
-    shots = list(drive(default_node(), SimConfig(scenario="highway", seed=1000), 1.0, ask))
-    assert [shot.observation.tick for shot in shots] == list(range(15))
-    assert [shot.directive is not None for shot in shots] == [k >= 5 for k in range(15)]
-    assert all(shot.action.answers_tick == shot.observation.tick for shot in shots)
+
+def test_a_refused_command_gives_no_directive_and_is_answered():
+    passenger = Passenger(Words("ram the car in front of us", 0.0))
+    seen = observation(car(0, 100, 1, 20), lanes=HIGHWAY)
+    assert passenger.ask(seen, 0) is None
+    assert (passenger.said, bool(passenger.reply)) == ("ram the car in front of us", True)
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".webp"])
@@ -61,5 +66,5 @@ def test_a_drive_without_a_picture_is_an_error(tmp_path):
 
 
 def test_an_event_is_told_with_its_reason_and_vehicle():
-    event = Event(epoch=1, stamp_ns=0, kind="delayed", node="fast", tick=3, rule="oncoming traffic", vehicle=4)
+    event = Event(epoch=1, stamp_ns=0, kind=EventKind.DELAYED, node="fast", tick=3, rule=Reason.ONCOMING, vehicle=4)
     assert worded(event) == "delayed: oncoming traffic (car 4)"
