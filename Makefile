@@ -57,7 +57,7 @@ baselines: setup-dev
 
 # The README's film, after the policy has changed.
 film: setup-dev
-	$(BIN)/fastslow video --scenario two-way-natural --seed 1002 --duration 24 -o docs/drive.gif $(ARGS)
+	$(BIN)/fastslow video --scenario two-way-natural --seed 1008 --duration 18 --say-at 1 -o docs/drive.gif $(ARGS)
 
 # The picture of a delay in docs/roads.md.
 picture: setup-dev

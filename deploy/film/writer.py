@@ -14,7 +14,7 @@ from schemas.runtime.process import ConfigError
 
 Picture = NDArray[np.uint8]
 SUFFIXES = (".gif", ".webp", ".mp4")
-GIF_COLOURS = 48
+GIF_COLOURS = 96
 GIF_WIDTH = 720
 """A GIF is scaled down to this width: half a minute stays under 3 MB."""
 
@@ -44,17 +44,11 @@ def _animation(path: Path, pictures: Iterable[Picture], hz: float) -> int:
         from PIL import Image
     except ImportError:
         raise ConfigError("films need pillow: pip install 'fastslow[view]'") from None
-    frames: list[Any] = []
-    palette = None
-    for picture in pictures:
-        frame = Image.fromarray(picture)
-        if path.suffix == ".gif":
-            frame = frame.resize((GIF_WIDTH, GIF_WIDTH * frame.height // frame.width), Image.Resampling.LANCZOS)
-            palette = palette or frame.quantize(GIF_COLOURS, method=Image.Quantize.MEDIANCUT)
-            frame = frame.quantize(palette=palette, dither=Image.Dither.NONE)
-        frames.append(frame)
+    frames = [Image.fromarray(picture) for picture in pictures]
     if not frames:
         return 0
+    if path.suffix == ".gif":
+        frames = _with_one_palette([f.resize((GIF_WIDTH, GIF_WIDTH * f.height // f.width)) for f in frames])
     more: dict[str, Any] = {"optimize": True, "disposal": 1} if path.suffix == ".gif" else {"quality": 70, "method": 3}
     frames[0].save(
         path,
@@ -65,6 +59,18 @@ def _animation(path: Path, pictures: Iterable[Picture], hz: float) -> int:
         **more,
     )
     return len(frames)
+
+
+def _with_one_palette(frames: list[Any]) -> list[Any]:
+    """The frames in colours that they share, rare ones among them: a car is small, and its colour means something."""
+    from PIL import Image
+
+    some = frames[:: max(len(frames) // 8, 1)]
+    sheet = Image.new("RGB", (some[0].width, some[0].height * len(some)))
+    for k, frame in enumerate(some):
+        sheet.paste(frame, (0, k * frame.height))
+    palette = sheet.quantize(GIF_COLOURS, method=Image.Quantize.MAXCOVERAGE)
+    return [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
 
 
 def durations_ms(count: int, hz: float, suffix: str) -> list[int]:

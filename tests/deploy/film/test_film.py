@@ -11,6 +11,7 @@ from fast_node.policies.load import load_policy
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import Event, EventKind, Reason
 from sim_node.config import SimConfig
+from sim_node.drawing import EGO, picture
 from tests.scenes import HIGHWAY, car, observation
 
 PICTURES = [np.full((40, 80, 3), 6 * k, np.uint8) for k in range(30)]
@@ -42,6 +43,15 @@ def test_a_film_lasts_as_long_as_the_drive(tmp_path, suffix):
             film.load()
             total += film.info["duration"]
     assert total == pytest.approx(2000, abs=10)
+
+
+def test_a_gif_keeps_the_colour_of_a_small_car(tmp_path):
+    image = pytest.importorskip("PIL.Image")
+    scenes = [picture(observation(car(0, 100 + k, 1, 20), lanes=HIGHWAY)) for k in range(9)]
+    write_film(tmp_path / "x.gif", iter(scenes))
+    with image.open(tmp_path / "x.gif") as film:
+        film.seek(5)
+        assert (np.abs(np.asarray(film.convert("RGB"), int) - EGO).sum(-1) < 30).sum() > 100
 
 
 def test_an_mp4_has_every_picture_at_the_rate_of_the_drive(tmp_path):
