@@ -37,7 +37,7 @@ def running_interpreter(
     server: Launched | None = None
     try:
         if model.embedded and ask != "never":
-            server = embedded_server(model.port, threads, adapter=adapter)
+            server = embedded_server(model.port, threads, adapter=adapter, weights=model.weights)
             if server is None:
                 print("fastslow: the embedded model did not start; the intent parser answers alone", file=sys.stderr)
                 ask = "never"
@@ -51,7 +51,7 @@ def running_interpreter(
                 k=k,
                 parser=parser,
                 shipped_examples=not empty_bank,
-                adapter=adapter,
+                adapter=adapter and not model.weights,
                 budget_s=budget_s,
             )
         )

