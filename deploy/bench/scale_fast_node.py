@@ -17,6 +17,7 @@ from deploy.bench.scale_points import Point, broken, point_of
 from fast_node.config import FastConfig
 from fast_node.node import FastNode
 from fast_node.policies.attention import load_attention
+from schemas.driving.road import ID, X
 from schemas.runtime.realtime import Mode
 from schemas.wire import topics
 from schemas.wire.codec import Fault, decode, encode, rows_of
@@ -32,8 +33,8 @@ def crowd(seen: Observation, vehicles: int) -> Observation:
     ego = rows_of(seen)[:1]
     rows = np.repeat(ego, vehicles, axis=0)
     others = np.arange(1, vehicles)
-    rows[1:, 0] = others
-    rows[1:, 1] += np.where(others % 2, 1, -1) * (12.0 + 8.0 * (others // 2))
+    rows[1:, ID] = others
+    rows[1:, X] += np.where(others % 2, 1, -1) * (12.0 + 8.0 * (others // 2))
     return msgspec.structs.replace(seen, rows=rows.tobytes(), epoch=vehicles)
 
 
