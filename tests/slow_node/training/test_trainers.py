@@ -114,7 +114,7 @@ def test_the_adapter_learns_and_the_engine_answers_with_what_was_written(
     shrunk(trainer, stock, monkeypatch)
     out = tmp_path / "adapter.gguf"
     trainer.train(out, 8, 0)
-    learnt = {t.name: np.array(t.data) for t in trainer.gguf.GGUFIntentParser(out).tensors}
+    learnt = {t.name: np.array(t.data) for t in trainer.gguf.GGUFReader(out).tensors}
     assert all(value.any() for name, value in learnt.items() if name.endswith(".lora_b"))  # they begin at zero
     assert json.loads(out.with_suffix(".json").read_text())["commands"] == 8
     config = json.dumps({"port": (port := free_port()), "polite": False})
