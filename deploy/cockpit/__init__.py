@@ -1,0 +1,1 @@
+"""The cockpit: a process of its own that shows a running car, or a recording of one, on a local page."""
