@@ -1,0 +1,156 @@
+// The instruments beside the road: speed, gaps, actions, directive, processes.
+
+import { $, glyph, make, mark, text } from "./dom.js";
+
+const ACTIONS = [["slower", "Slower"], ["hold", "Hold"], ["faster", "Faster"], ["left", "Left"], ["right", "Right"]];
+const SHOWN = [2, 1, 0, 3, 4];
+const SOURCES = {
+  policy: ["Policy", "The learnt policy chose this action."],
+  masked: ["Mask", "The safety mask closed what the policy preferred."],
+  coordination: ["Coordination", "The passenger's wish decided against the policy's preference."],
+  fallback: ["Fallback", "The policy failed; a simple rule drives."],
+};
+const TAKEN_MS = 700;
+const OVER = ["fulfilled", "expired", "superseded", "cancelled", "failed"];
+
+export class Panels {
+  constructor(road) {
+    this.road = road;
+    this.taken = new Map();
+    this.rows = new Map();
+    for (const index of SHOWN) {
+      const [icon, name] = ACTIONS[index];
+      const bar = make("i");
+      const note = make("span", { className: "note num" });
+      const label = make("span", { className: "name", textContent: name });
+      const row = make("li", {}, glyph(icon), label, make("span", { className: "p" }, bar), note);
+      const show = () => { if (row.vehicle >= 0) road.highlight = { id: row.vehicle, text: row.rule }; };
+      const hide = () => { road.highlight = null; };
+      row.addEventListener("pointerenter", show);
+      row.addEventListener("focus", show);
+      row.addEventListener("pointerleave", hide);
+      row.addEventListener("blur", hide);
+      $("actions").append(row);
+      this.rows.set(index, { row, bar, note });
+    }
+    this.nodes = new Map();
+  }
+
+  update(frame, road) {
+    this.health(frame.nodes || []);
+    if (!frame.cars) return;
+    const ego = frame.cars[0];
+    text($("v"), Math.max(ego[3], 0).toFixed(1));
+    text($("vset"), frame.set_speed.toFixed(1));
+    text($("vlimit"), (frame.limits[ego[8]] ?? 0).toFixed(0));
+    const trend = (n, faster, slower) => (n.ttc !== null ? `TTC ${n.ttc.toFixed(0)} s` : Math.abs(n.speed - ego[3]) < 0.5 ? "same speed" : n.speed > ego[3] ? faster : slower);
+    this.tile("ahead", frame.ahead, (n) => `${n.headway === null ? "" : `${n.headway.toFixed(1)} s · `}${trend(n, "pulls away", "closing")}`);
+    this.tile("behind", frame.behind, (n) => trend(n, "closing", "falls back"));
+    const two = road?.lanes.some((lane) => lane.way < 0);
+    $("t-oncoming").hidden = !two;
+    this.tile("oncoming", frame.oncoming, (n) => (n.ttc === null ? "" : `meet in ${n.ttc.toFixed(0)} s`));
+    this.actions(frame);
+    this.directive(frame);
+  }
+
+  tile(name, near, words) {
+    const tile = $(`t-${name}`);
+    text(tile.querySelector("b"), near ? `${Math.max(near.gap, 0).toFixed(0)} m` : "free");
+    text(tile.querySelector("span"), near ? words(near) : "");
+    const ttc = near?.ttc ?? null;
+    mark(tile, "level", name !== "oncoming" && ttc !== null && ttc < 6 ? (ttc < 3 ? "bad" : "warn") : null);
+  }
+
+  actions(frame) {
+    const action = frame.action;
+    if (!action) return;
+    const now = performance.now();
+    if (action.tick !== this.lastTick) { this.taken.set(action.meta, now); this.lastTick = action.tick; }
+    const closed = new Map(action.closed.map(([a, rule, vehicle]) => [a, { rule, vehicle }]));
+    for (const [index, { row, bar, note }] of this.rows) {
+      const by = closed.get(index);
+      const p = action.p[index];
+      row.rule = by?.rule ?? "";
+      row.vehicle = by?.vehicle ?? -1;
+      mark(row, "closed", by ? "" : null);
+      mark(row, "taken", now - (this.taken.get(index) ?? -1e9) < TAKEN_MS && (action.meta === index || index !== 1) ? "" : null);
+      bar.style.transform = `scaleX(${p ?? 0})`;
+      bar.parentElement.hidden = p === undefined;
+      text(note, by ? `${by.rule}${by.vehicle >= 0 ? ` · car ${by.vehicle}` : ""}` : p === undefined ? "open" : `${(100 * p).toFixed(0)} %`);
+      if (by && by.vehicle >= 0) row.tabIndex = 0; else row.removeAttribute("tabindex");
+    }
+    const [name, why] = SOURCES[action.source] || [action.source, ""];
+    const braking = action.meta === 5;
+    text($("source"), braking ? "Emergency brake" : name);
+    $("source").title = action.why || why;
+    mark($("source"), "is", braking ? "fallback" : action.source);
+  }
+
+  directive(frame) {
+    const d = frame.directive;
+    text($("d-state"), d ? d.state : "none");
+    mark($("d-state"), "is", d?.state ?? null);
+    const box = $("directive");
+    if (!d) {
+      if (box.dataset.id !== "none") { box.replaceChildren(make("p", { className: "empty", textContent: "Nothing is wished. The car keeps its speed and its lane." })); box.dataset.id = "none"; }
+      return;
+    }
+    if (box.dataset.id !== String(d.id)) {
+      box.dataset.id = d.id;
+      box.replaceChildren(
+        make("div", { className: "wish" }, make("b"), make("span", { className: "muted" })),
+        make("div", { className: "ttl", role: "progressbar", "aria-label": "Life of the directive", "aria-valuemin": 0, "aria-valuemax": d.ttl }, make("i")),
+        make("p", { className: "wait", hidden: true, tabIndex: 0 }),
+        make("ol", { className: "steps" }, ...["understood", "waits", "changes", "done"].map((name) => make("li", { textContent: name }))),
+      );
+      const wait = box.querySelector(".wait");
+      const show = () => { if (wait.vehicle >= 0) this.road.highlight = { id: wait.vehicle, text: wait.rule }; };
+      wait.onpointerenter = wait.onfocus = show;
+      wait.onpointerleave = wait.onblur = () => { this.road.highlight = null; };
+    }
+    const parts = [];
+    if (d.lane !== null) parts.push(`lane ${d.lane}`);
+    if (d.speed !== null) parts.push(`${d.speed.toFixed(0)} m/s`);
+    if (d.headway !== null) parts.push(`${d.headway.toFixed(1)} s gap`);
+    if (d.style !== "normal") parts.push(d.style);
+    text(box.querySelector(".wish b"), d.manoeuvre);
+    text(box.querySelector(".wish span"), `${parts.join(" · ")}${parts.length ? " · " : ""}${d.left.toFixed(0)} s left`);
+    const bar = box.querySelector(".ttl");
+    bar.setAttribute("aria-valuenow", d.left.toFixed(0));
+    bar.firstChild.style.transform = `scaleX(${Math.min(1, d.left / d.ttl)})`;
+    const wait = box.querySelector(".wait");
+    const delayed = d.state === "delayed";
+    wait.hidden = !delayed;
+    wait.vehicle = d.vehicle;
+    wait.rule = d.rule;
+    if (delayed) text(wait, `waits ${d.waited.toFixed(0)} s: ${d.rule}${d.vehicle >= 0 ? ` · car ${d.vehicle}` : ""}${d.detail ? ` · ${d.detail}` : ""}`);
+    const changing = frame.previous_lane >= 0;
+    const over = OVER.includes(d.state);
+    const stage = over ? 3 : changing ? 2 : delayed ? 1 : 1;
+    [...box.querySelectorAll(".steps li")].forEach((li, i) => {
+      if (i === 1) text(li, delayed ? "waits" : d.lane === null ? "adjusts" : "under way");
+      if (i === 3) text(li, over ? d.state : "done");
+      mark(li, "is", over ? (d.state === "fulfilled" ? "done" : i === 3 ? "bad" : "done") : i < stage ? "done" : i === stage ? (delayed && i === 1 ? "now" : "done") : null);
+    });
+  }
+
+  health(nodes) {
+    for (const node of nodes) {
+      let item = this.nodes.get(node.node);
+      if (!item) {
+        item = make("li", {}, make("i", { "aria-hidden": "true" }), make("b", { textContent: node.node }), make("small", { className: "num" }));
+        this.nodes.set(node.node, item);
+        $("nodes").append(item);
+      }
+      mark(item, "state", node.state);
+      text(item.querySelector("small"), node.state === "gone" ? `silent for ${node.age.toFixed(0)} s` : `${node.state} · ${(Math.max(node.age, 0) * 1000).toFixed(0)} ms`);
+      item.title = `process ${node.pid}${node.detail ? `: ${node.detail}` : ""}\n${Object.entries(node.figures).map(([k, v]) => `${k} ${v}`).join("\n")}`;
+    }
+    const sim = nodes.find((node) => node.node === "sim");
+    if (sim && sim.figures.rtt_p99_us !== undefined) {
+      const f = sim.figures;
+      text($("ticks"), `round trip ${(f.rtt_p50_us / 1000).toFixed(1)} / ${(f.rtt_p99_us / 1000).toFixed(1)} ms · missed ${f.missed ?? 0}`);
+      $("ticks").title = "Median and 99th percentile, as the simulator measures it";
+    }
+  }
+}

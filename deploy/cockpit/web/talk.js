@@ -1,0 +1,123 @@
+// What was said, thought and has happened.
+
+import { $, make } from "./dom.js";
+
+const KEPT = 300;
+const EXAMPLES = [
+  "I'm in a hurry to get to work, I want to drive faster", "Overtake the car in front of us", "Please slow down a little", "Keep more distance to the car ahead",
+  "Go to the right lane", "Drive at 18 metres per second", "Stay behind this car", "Forget it, drive normally", "Please stop", "Fahr bitte etwas schneller",
+];
+const BAD = ["refused", "failed", "expired"];
+
+export class Talk {
+  constructor(say) {
+    this.commands = new Map();
+    for (const words of EXAMPLES) {
+      const button = make("button", { type: "button", textContent: words });
+      button.addEventListener("click", () => { say(words); });
+      $("examples").append(button);
+    }
+    this.clear();
+  }
+
+  clear() {
+    this.commands.clear();
+    $("bubbles").replaceChildren(make("p", { className: "empty", textContent: "Say what you would like, in your own words. The car answers here." }));
+    $("events").replaceChildren();
+    $("thoughts").replaceChildren(make("p", { className: "empty", textContent: "For each command: what the slow part read, recalled and answered, and what was changed. Say something first." }));
+  }
+
+  note(note) {
+    if (note.kind === "command") this.command(note);
+    else if (note.kind === "reply") this.reply(note);
+    else if (note.kind === "thought") this.thought(note);
+    if (note.kind !== "thought") this.event(note);
+  }
+
+  add(list, node) {
+    list.querySelector(":scope > .empty")?.remove();
+    const near = list.scrollHeight - list.scrollTop - list.clientHeight < 60;
+    list.append(node);
+    while (list.children.length > KEPT) list.firstChild.remove();
+    if (near) list.scrollTop = list.scrollHeight;
+  }
+
+  command(note) {
+    const bubble = make("div", { className: "said", textContent: note.text });
+    this.commands.set(note.id, { text: note.text, t: note.t });
+    this.add($("bubbles"), bubble);
+  }
+
+  reply(note) {
+    if (note.outcome === "heard") return;
+    const command = this.commands.get(note.command_id);
+    const small = make("small", {}, make("span", { className: "tag", textContent: note.outcome, data: { is: BAD.includes(note.outcome) ? "failed" : note.outcome === "fulfilled" ? "fulfilled" : "policy" } }));
+    if (command) small.append(`${Math.max(note.t - command.t, 0).toFixed(1)} s later `);
+    if (note.why) small.append(`· ${note.why} `);
+    const link = make("button", { type: "button", textContent: "thought", hidden: !document.getElementById(`thought-${note.command_id}`) });
+    link.dataset.thought = note.command_id;
+    link.addEventListener("click", () => this.openThought(note.command_id));
+    small.append(link);
+    this.add($("bubbles"), make("div", { className: "heard" }, note.say ? make("p", { textContent: note.say }) : null, small));
+  }
+
+  openThought(id) {
+    $("tab-thoughts").click();
+    const thought = document.getElementById(`thought-${id}`);
+    if (thought) { thought.open = true; thought.scrollIntoView({ block: "start" }); }
+  }
+
+  event(note) {
+    const [name, words] = wording(note);
+    const row = make("li", { data: { kind: name } }, make("time", { textContent: note.t.toFixed(1) }), make("b", { textContent: name }), make("span", { textContent: words }));
+    $("events").prepend(row);
+    while ($("events").children.length > KEPT) $("events").lastChild.remove();
+  }
+
+  thought(note) {
+    const list = $("thoughts");
+    list.querySelector(":scope > .empty")?.remove();
+    list.prepend(thoughtOf(note, list.children.length === 0));
+    while (list.children.length > 30) list.lastChild.remove();
+    for (const link of document.querySelectorAll("[data-thought]")) if (link.dataset.thought === String(note.command_id)) link.hidden = false;
+  }
+}
+
+function wording(note) {
+  const car = note.vehicle >= 0 && note.vehicle !== undefined ? `car ${note.vehicle}` : "";
+  const list = (...parts) => parts.filter(Boolean).join(" · ");
+  switch (note.kind) {
+    case "command": return ["said", `“${note.text}” (${note.source})`];
+    case "reply": return [note.outcome, list(note.say, note.why)];
+    case "directive": return ["directive", list(note.manoeuvre, note.target_lane !== undefined ? `lane ${note.target_lane}` : "", note.target_speed_mps !== undefined ? `${note.target_speed_mps.toFixed(1)} m/s` : "", note.headway_s !== undefined ? `${note.headway_s.toFixed(1)} s gap` : "", note.reasoning)];
+    case "health": return [note.state, `process ${note.node}`];
+    default: return [note.what, list(note.rule, car, note.duration_s ? `for ${note.duration_s.toFixed(1)} s` : "", note.detail)];
+  }
+}
+
+function section(title, ...nodes) {
+  return make("section", {}, make("h3", { textContent: title }), ...nodes);
+}
+
+/** A thought as a folded card: who decided, then everything that led to it. */
+function thoughtOf(note, open) {
+  const spans = (note.spans || []).filter(([, ms]) => ms > 0);
+  const total = spans.reduce((sum, [, ms]) => sum + ms, 0);
+  const bar = make("div", { className: "spans", "aria-hidden": "true" }, ...spans.map(([, ms]) => { const i = make("i"); i.style.flexGrow = ms; return i; }));
+  const legend = make("div", { className: "legend num" }, ...spans.map(([name, ms]) => make("span", { textContent: `${name} ${ms.toFixed(ms < 10 ? 1 : 0)} ms` })),
+    note.tokens ? make("span", { textContent: `${note.tokens[0]} tokens in, ${note.tokens[1]} out` }) : null);
+  const body = make("div", {});
+  if (spans.length) body.append(section("Time", bar, legend));
+  if (note.reading) body.append(section("The reader understood", make("pre", { textContent: note.reading })));
+  if (note.slots) body.append(section("Taken as", make("pre", { textContent: note.slots })));
+  body.append(section("What the guards changed", note.guards?.length ? make("ul", {}, ...note.guards.map((g) => make("li", { className: "guard", textContent: g }))) : make("p", { className: "empty", textContent: "Nothing." })));
+  if (note.memories?.length) {
+    body.append(section("Recalled", ...note.memories.map((m) => make("div", { className: "memory num" }, make("b", { textContent: m.similarity.toFixed(2) }), make("span", { textContent: `“${m.command}”` }), make("small", { textContent: [m.slots, m.outcome].filter(Boolean).join(" · ") })))));
+  }
+  for (const message of note.prompt || []) body.append(section(`Prompt: ${message.role}`, make("pre", { textContent: message.content })));
+  if (note.answer) body.append(section("Raw answer", make("pre", { textContent: note.answer })));
+  else body.append(section("Raw answer", make("p", { className: "empty", textContent: "The language model was not asked: the reader was sure." })));
+  return make("details", { className: "thought", id: `thought-${note.command_id}`, open },
+    make("summary", {}, make("q", { textContent: note.command }), make("span", { className: "tag", textContent: note.outcome, data: { is: note.outcome === "directive" ? "fulfilled" : "failed" } }),
+      make("small", { className: "num", textContent: `${note.t.toFixed(1)} s · by ${note.source || "nobody"}${total ? ` · ${total.toFixed(0)} ms` : ""}${note.trimmed ? " · shortened" : ""}` })), body);
+}
