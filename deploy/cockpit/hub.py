@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import msgspec
 
@@ -21,7 +24,7 @@ MAX_BYTES = 64 * 1024
 """Notes beyond this wait for the next message."""
 IDLE_NS = NS // 5
 """Without anything new a frame goes out this often: the ages of heartbeats are worth seeing."""
-LEAST_NS = NS // 40
+LEAST_NS = NS // 22
 """Between two frames: a recording played fast has more ticks than an eye."""
 POLL_S = 0.015
 
@@ -48,8 +51,8 @@ class Page:
 class Hub:
     """Polls the source, keeps the picture, hands out messages."""
 
-    def __init__(self, source: Source) -> None:
-        self.source = source
+    def __init__(self, source: Source, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
+        self.source, self._clock_ns = source, clock_ns
         self.picture = Picture()
         self.pages: set[Page] = set()
         self.frames = 0
@@ -62,7 +65,8 @@ class Hub:
         self._road_version = 0
         self._composed_ns = 0
         self._tick: tuple[int, int] | None = None
-        self._state = b""
+        self._told: dict[str, Any] = {}
+        self._state = b"{}"
 
     def figures(self) -> dict[str, float]:
         """For the heartbeat."""
@@ -83,30 +87,30 @@ class Hub:
         number = self._noted()
         for message in messages:
             self.picture.take(message)
-        now_ns = self.source.now_ns()
-        self.picture.watch(now_ns)
-        state = msgspec.json.encode(self.source.state())
+        self.picture.watch(self.source.now_ns())
+        state = self.source.state()
+        told = {name: value for name, value in state.items() if name != "position"}
         seen = self.picture.observation
         tick = None if seen is None else (seen.epoch, seen.tick)
-        since_ns = abs(now_ns - self._composed_ns)
+        since_ns = self._clock_ns() - self._composed_ns
         due = since_ns > IDLE_NS or (tick != self._tick and since_ns >= LEAST_NS)
-        if due or state != self._state:
-            self._compose(now_ns, state)
-            self._tick = tick
+        if due or told != self._told:
+            self._told, self._tick = told, tick
+            self._compose(state)
         elif self._noted() != number:
             self._wake()
 
     def _noted(self) -> int:
         return max((store[-1].number for store in (self.picture.notes, self.picture.thoughts) if store), default=0)
 
-    def _compose(self, now_ns: int, state: bytes) -> None:
-        self._composed_ns, self._state = now_ns, state
+    def _compose(self, state: dict[str, Any]) -> None:
+        self._composed_ns, self._state = self._clock_ns(), msgspec.json.encode(state)
         self.frames += 1
         for page in self.pages:
             if page.frame < self.frames - 1 and page.frame:
                 page.dropped += 1
                 self.dropped += 1
-        self._frame = msgspec.json.encode(self.picture.frame(now_ns))
+        self._frame = msgspec.json.encode(self.picture.frame(self.source.now_ns()))
         if self.picture.road_version != self._road_version:
             self._road_version = self.picture.road_version
             self._road = msgspec.json.encode(self.picture.road())
@@ -122,7 +126,8 @@ class Hub:
             return None
         if page.generation != self._generation:
             page.generation, page.note, page.road = self._generation, 0, -1
-        notes, size = [], 0
+        notes: list[bytes] = []
+        size = 0
         for note in self.picture.since(page.note):
             size += len(note.body)
             if notes and size > MAX_BYTES:
@@ -135,7 +140,7 @@ class Hub:
         road = page.road != self._road_version
         parts = [
             b'{"session":"%s-%d","dropped":%d,"source":' % (self.session.encode(), self._generation, page.dropped),
-            self._state or b"{}",
+            self._state,
             b',"frame":',
             self._frame,
             b',"road":' + self._road if road else b"",

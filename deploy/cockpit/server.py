@@ -28,7 +28,7 @@ MAX_IN_BYTES = 4096
 """Of a message from a page."""
 SEND_S = 10.0
 """A page that has not taken a message after this long is let go."""
-ASKS, ASKS_PER_S = 10.0, 2.0
+ASKS, ASKS_PER_S = 20.0, 5.0
 """A page may say and order this much at once, and this much per second for ever."""
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -81,7 +81,7 @@ class Guard:
 
 
 def _is_ours(headers: Headers, loopback: bool) -> bool:
-    """The Host is an address, or `localhost`: no name that somebody else's DNS could point here. Behind loopback it is a
+    """The Host is an address, or `localhost`: no name that somebody else's DNS could point here; on loopback it is a
     loopback address. An Origin, which every browser sends along with a websocket, is the same place."""
     host = headers.get("host", "")
     try:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
+from heapq import merge
 from typing import Any, Literal, Protocol
 
 from schemas.runtime.bus import Bus
+from schemas.runtime.clock import NS
 from schemas.wire import topics
 from schemas.wire.codec import Fault, decode_command
-from schemas.wire.messages import Command, Message
+from schemas.wire.messages import Command, Message, Observation
 
 
 class Refused(Exception):  # noqa: N818 - a word to the passenger, not a mistake of ours
@@ -54,7 +57,6 @@ class BusSource:
         self.generation = 0
         self._commands = bus.subscribe_bytes(topics.COMMAND)
         self._others = tuple(bus.subscribe(topic) for topic in topics.TOPICS if topic is not topics.COMMAND)
-        self._said: set[int] = set()
 
     def take(self) -> list[Message]:
         now_ns = self._clock_ns()
@@ -85,3 +87,114 @@ class BusSource:
 
     def state(self) -> dict[str, Any]:
         return {"kind": self.kind, "can": ["say"], "paused": False}
+
+
+class Recorded(Protocol):
+    """What is needed of a recording, as `deploy.record.reader.open_recording` gives it. Times in ns since 1970."""
+
+    start_ns: int
+    end_ns: int
+    clock_offset_ns: int
+    """Between these times and CLOCK_MONOTONIC, by which the messages are stamped."""
+
+    def messages(
+        self, topics: Collection[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[tuple[int, str, Message]]: ...
+
+
+SPEEDS = (0.1, 8.0)
+FAST = ("observation", "action", "status")
+"""Topics of which only the newest counts; of the others everything that was before the playhead is shown."""
+BEFORE_NS = 2 * NS
+"""So much of the fast topics before a jump's goal makes the picture whole."""
+TAKE_MOST = 2000
+"""Messages at a time, so that the pages are served in between."""
+
+
+class RecordingSource:
+    """A recording, played at a chosen speed from a playhead that can be moved."""
+
+    kind: Literal["replay"] = "replay"
+
+    def __init__(self, recording: Recorded, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
+        self._recording, self._clock_ns = recording, clock_ns
+        self.generation = 0
+        self.paused = False
+        self.speed = 1.0
+        names = [topic.name for topic in topics.TOPICS if topic.name not in FAST]
+        self._said = [(at_ns, message) for at_ns, _, message in recording.messages(names)]
+        self._at_ns = recording.start_ns
+        self._looked_ns = clock_ns()
+        self._ready: list[Message] = []
+        self._rest: Iterator[tuple[int, str, Message]] = iter(())
+        self._next: tuple[int, str, Message] | None = None
+        self._jump(recording.start_ns)
+
+    def take(self) -> list[Message]:
+        looked_ns, self._looked_ns = self._looked_ns, self._clock_ns()
+        if not self.paused:
+            self._at_ns += round((self._looked_ns - looked_ns) * self.speed)
+        taken, self._ready = self._ready, []
+        while len(taken) < TAKE_MOST and self._next is not None and self._next[0] <= self._at_ns:
+            taken.append(self._next[2])
+            self._next = next(self._rest, None)
+        if self._next is None and self._at_ns >= self._recording.end_ns:
+            self._at_ns, self.paused = self._recording.end_ns, True
+        return taken
+
+    def now_ns(self) -> int:
+        return self._at_ns - self._recording.clock_offset_ns
+
+    def say(self, text: str) -> None:
+        raise Refused("A recording does not listen.")
+
+    def control(self, do: str, value: Any) -> None:
+        match do, value:
+            case "pause", None:
+                self.paused = True
+            case "resume", None:
+                if self._at_ns >= self._recording.end_ns:
+                    self._jump(self._recording.start_ns)
+                self.paused = False
+            case "step", None:
+                self.paused = True
+                self._step()
+            case "speed", int() | float() if SPEEDS[0] <= value <= SPEEDS[1]:
+                self.speed = float(value)
+            case "seek", int() | float() if math.isfinite(value):
+                goal_ns = self._recording.start_ns + round(value * NS)
+                self._jump(min(max(goal_ns, self._recording.start_ns), self._recording.end_ns))
+            case _:
+                raise Refused("A recording takes no such order.")
+
+    def state(self) -> dict[str, Any]:
+        recording = self._recording
+        return {
+            "kind": self.kind,
+            "can": ["pause", "step", "speed", "seek"],
+            "paused": self.paused,
+            "speed": self.speed,
+            "position": round((self._at_ns - recording.start_ns) / NS, 2),
+            "length": round((recording.end_ns - recording.start_ns) / NS, 2),
+        }
+
+    def _jump(self, goal_ns: int) -> None:
+        """To `goal_ns`, with the picture as it was: all that was said before, and the fast topics' last moments."""
+        self.generation += 1
+        self._at_ns = goal_ns
+        fast = [(at_ns, m) for at_ns, _, m in self._recording.messages(FAST, goal_ns - BEFORE_NS, goal_ns)]
+        said = [(at_ns, m) for at_ns, m in self._said if at_ns < goal_ns]
+        self._ready = [message for _, message in merge(said, fast, key=lambda item: item[0])]
+        self._rest = self._recording.messages(None, goal_ns)
+        self._next = next(self._rest, None)
+
+    def _step(self) -> None:
+        """On to just before the observation after the next: a whole tick, with what answered it."""
+        observations = 0
+        while self._next is not None and len(self._ready) < TAKE_MOST:
+            observations += isinstance(self._next[2], Observation)
+            if observations > 1:
+                break
+            self._at_ns = self._next[0]
+            self._ready.append(self._next[2])
+            self._next = next(self._rest, None)

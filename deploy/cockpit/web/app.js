@@ -161,7 +161,9 @@ const pause = () => send({ do: source.paused ? "resume" : "pause" });
 $("pause").addEventListener("click", pause);
 $("step").addEventListener("click", () => send({ do: "step" }));
 $("speed").addEventListener("change", () => send({ do: "speed", value: Number($("speed").value) }));
-$("seek").addEventListener("input", () => send({ do: "seek", value: Number($("seek").value) }));
+let sought = 0;
+const seek = () => { clearTimeout(sought); sought = setTimeout(() => send({ do: "seek", value: Number($("seek").value) }), 120); };
+$("seek").addEventListener("input", seek);
 $("restart").addEventListener("submit", (event) => {
   event.preventDefault();
   send({ do: "restart", value: { scenario: $("road-choice").value, seed: Number($("seed").value) } });

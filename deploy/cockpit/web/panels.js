@@ -114,7 +114,7 @@ export class Panels {
     if (d.headway !== null) parts.push(`${d.headway.toFixed(1)} s gap`);
     if (d.style !== "normal") parts.push(d.style);
     text(box.querySelector(".wish b"), d.manoeuvre);
-    text(box.querySelector(".wish span"), `${parts.join(" · ")}${parts.length ? " · " : ""}${d.left.toFixed(0)} s left`);
+    text(box.querySelector(".wish span"), [...parts, OVER.includes(d.state) ? "" : `${d.left.toFixed(0)} s left`].filter(Boolean).join(" · "));
     const bar = box.querySelector(".ttl");
     bar.setAttribute("aria-valuenow", d.left.toFixed(0));
     bar.firstChild.style.transform = `scaleX(${Math.min(1, d.left / d.ttl)})`;
