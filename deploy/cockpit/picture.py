@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from heapq import merge
 from typing import Any
 
@@ -21,6 +21,7 @@ from schemas.wire.codec import rows_of
 from schemas.wire.messages import (
     POLICY_ACTIONS,
     Action,
+    Closure,
     Command,
     Directive,
     Event,
@@ -55,10 +56,13 @@ class _Plan:
     """A directive and what has become of it."""
 
     directive: Directive
-    state: str = "active"
+    ended: str = ""
+    """"fulfilled", "expired", ...; empty while it lives."""
     ended_ns: int = 0
-    rule: str = ""
-    vehicle: int = -1
+    slow: bool = False
+    """It has been told that the wished speed is delayed."""
+    held: Closure | None = None
+    """What closes the wished action now."""
     since_tick: int = -1
     detail: str = ""
 
@@ -91,8 +95,12 @@ class Picture:
                 sent_ns = self._stamps.get(message.answers_tick)
                 if sent_ns is not None:
                     self.answered_ms = (message.stamp_ns - sent_ns) / 1e6
+                self._hold()
             case Directive():
+                last = self._plan
                 self._plan = _Plan(message)
+                if last is not None and not last.ended and last.directive.command_id == message.command_id:
+                    self._plan = replace(last, directive=message)  # thought about again: it waits on
                 self._note("directive", message, **_fields(message, "epoch", "schema", "stamp_ns"))
             case Command():
                 self._note("command", message, id=message.id, text=message.text[:TEXT_CHARS], source=message.source)
@@ -122,13 +130,8 @@ class Picture:
     def _happened(self, event: Event) -> None:
         plan = self._plan
         if plan is not None and event.directive_id == plan.directive.id:
-            if event.kind == "delayed":
-                plan.state, plan.rule, plan.vehicle = "delayed", event.rule, event.vehicle
-                plan.since_tick, plan.detail = event.since_tick, event.detail
-            elif event.kind == "overridden":
-                plan.detail = event.detail
-                if "carried out" in event.detail:
-                    plan.state = "active"
+            plan.slow = plan.slow or event.kind == "delayed"
+            plan.detail = event.detail if event.kind == "overridden" else plan.detail
             self._ended(event.kind, event.directive_id, event.stamp_ns)
         self._note("event", event, **_fields(event, "epoch", "schema", "stamp_ns"))
 
@@ -139,7 +142,22 @@ class Picture:
             and directive_id == plan.directive.id
             and how in ("fulfilled", "expired", "superseded", "cancelled", "failed")
         ):
-            plan.state, plan.ended_ns = how, stamp_ns
+            plan.ended, plan.ended_ns = how, stamp_ns
+
+    def _hold(self) -> None:
+        """What the newest action says about the wished one: held back, and since when, or free."""
+        plan, seen, action = self._plan, self.observation, self.action
+        if plan is None or seen is None or action is None:
+            return
+        lane = plan.directive.target_lane
+        if lane is not None and lane != seen.target_lane:
+            wanted = MetaAction.LEFT if lane < seen.target_lane else MetaAction.RIGHT
+        else:
+            wanted = MetaAction.SPEED_UP if plan.slow else MetaAction.CRUISE
+        plan.held = next((c for c in action.closed if c.action == wanted), None)
+        if wanted == MetaAction.CRUISE or seen.previous_lane >= 0:
+            plan.held = None
+        plan.since_tick = -1 if plan.held is None else seen.tick if plan.since_tick < 0 else plan.since_tick
 
     def _beat(self, status: Status) -> None:
         last = self._nodes.get(status.node)
@@ -253,12 +271,7 @@ class Picture:
         left_s = directive.ttl_s - (now_ns - directive.stamp_ns) / NS
         if left_s < -OVER_SHOWN_NS / NS or (plan.ended_ns and now_ns - plan.ended_ns > OVER_SHOWN_NS):
             return None
-        rule, vehicle = plan.rule, plan.vehicle
-        if plan.state == "delayed" and directive.target_lane is not None and self.action is not None:
-            side = MetaAction.LEFT if directive.target_lane < seen.target_lane else MetaAction.RIGHT
-            now = next((c for c in self.action.closed if c.action == side), None)
-            if now is not None and directive.target_lane != seen.target_lane:
-                rule, vehicle = now.rule, now.vehicle
+        held = None if plan.ended else plan.held
         return {
             "id": directive.id,
             "command_id": directive.command_id,
@@ -269,9 +282,9 @@ class Picture:
             "style": directive.style,
             "ttl": directive.ttl_s,
             "left": round(max(left_s, 0.0), 1),
-            "state": plan.state,
-            "rule": rule if plan.state == "delayed" else "",
-            "vehicle": vehicle if plan.state == "delayed" else -1,
+            "state": plan.ended or ("delayed" if held else "active"),
+            "rule": held.rule if held else "",
+            "vehicle": held.vehicle if held else -1,
             "waited": round((seen.tick - plan.since_tick) / seen.hz, 1) if plan.since_tick >= 0 else 0.0,
             "detail": plan.detail,
             "reasoning": directive.reasoning[:TEXT_CHARS],

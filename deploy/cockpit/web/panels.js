@@ -11,7 +11,16 @@ const SOURCES = {
   fallback: ["Fallback", "The policy failed; a simple rule drives."],
 };
 const TAKEN_MS = 700;
+const HOLD = 1;
 const OVER = ["fulfilled", "expired", "superseded", "cancelled", "failed"];
+
+/** Where a vehicle is, in words: " · 42 m ahead". */
+function where(frame, id) {
+  const car = id >= 0 ? frame.cars.find((row) => row[0] === id) : undefined;
+  if (!car) return "";
+  const along = car[1] - frame.cars[0][1];
+  return ` · ${Math.abs(along).toFixed(0)} m ${along < 0 ? "behind" : "ahead"}`;
+}
 
 export class Panels {
   constructor(road) {
@@ -67,16 +76,18 @@ export class Panels {
     const now = performance.now();
     if (action.tick !== this.lastTick) { this.taken.set(action.meta, now); this.lastTick = action.tick; }
     const closed = new Map(action.closed.map(([a, rule, vehicle]) => [a, { rule, vehicle }]));
+    const lately = (index) => now - (this.taken.get(index) ?? -1e9) < TAKEN_MS;
+    const moved = SHOWN.some((index) => index !== HOLD && lately(index));
     for (const [index, { row, bar, note }] of this.rows) {
       const by = closed.get(index);
       const p = action.p[index];
       row.rule = by?.rule ?? "";
       row.vehicle = by?.vehicle ?? -1;
       mark(row, "closed", by ? "" : null);
-      mark(row, "taken", now - (this.taken.get(index) ?? -1e9) < TAKEN_MS && (action.meta === index || index !== 1) ? "" : null);
+      mark(row, "taken", lately(index) && (index !== HOLD || !moved) ? "" : null);
       bar.style.transform = `scaleX(${p ?? 0})`;
       bar.parentElement.hidden = p === undefined;
-      text(note, by ? `${by.rule}${by.vehicle >= 0 ? ` · car ${by.vehicle}` : ""}` : p === undefined ? "open" : `${(100 * p).toFixed(0)} %`);
+      text(note, by ? `${by.rule}${where(frame, by.vehicle)}` : p === undefined ? "open" : `${(100 * p).toFixed(0)} %`);
       if (by && by.vehicle >= 0) row.tabIndex = 0; else row.removeAttribute("tabindex");
     }
     const [name, why] = SOURCES[action.source] || [action.source, ""];
@@ -101,7 +112,7 @@ export class Panels {
         make("div", { className: "wish" }, make("b"), make("span", { className: "muted" })),
         make("div", { className: "ttl", role: "progressbar", "aria-label": "Life of the directive", "aria-valuemin": 0, "aria-valuemax": d.ttl }, make("i")),
         make("p", { className: "wait", hidden: true, tabIndex: 0 }),
-        make("ol", { className: "steps" }, ...["understood", "waits", "changes", "done"].map((name) => make("li", { textContent: name }))),
+        make("ol", { className: "steps" }),
       );
       const wait = box.querySelector(".wait");
       const show = () => { if (wait.vehicle >= 0) this.road.highlight = { id: wait.vehicle, text: wait.rule }; };
@@ -123,14 +134,30 @@ export class Panels {
     wait.hidden = !delayed;
     wait.vehicle = d.vehicle;
     wait.rule = d.rule;
-    if (delayed) text(wait, `waits ${d.waited.toFixed(0)} s: ${d.rule}${d.vehicle >= 0 ? ` · car ${d.vehicle}` : ""}${d.detail ? ` · ${d.detail}` : ""}`);
-    const changing = frame.previous_lane >= 0;
+    if (delayed) text(wait, `waits ${d.waited.toFixed(0)} s: ${d.rule}${where(frame, d.vehicle)}${d.detail ? ` · ${d.detail}` : ""}`);
+    this.steps(frame, d, box);
+  }
+
+  /** How far it has come: never back within one command. */
+  steps(frame, d, box) {
+    const passes = d.manoeuvre === "overtake";
+    const borrowed = this.road.road?.lanes[frame.cars[0][8]]?.way < 0;
     const over = OVER.includes(d.state);
-    const stage = over ? 3 : changing ? 2 : delayed ? 1 : 1;
-    [...box.querySelectorAll(".steps li")].forEach((li, i) => {
-      if (i === 1) text(li, delayed ? "waits" : d.lane === null ? "adjusts" : "under way");
-      if (i === 3) text(li, over ? d.state : "done");
-      mark(li, "is", over ? (d.state === "fulfilled" ? "done" : i === 3 ? "bad" : "done") : i < stage ? "done" : i === stage ? (delayed && i === 1 ? "now" : "done") : null);
+    const last = passes ? 4 : 3;
+    let stage = over ? last : passes && borrowed ? 3 : frame.previous_lane >= 0 ? 2 : 1;
+    if (this.stage?.command === d.command_id) stage = Math.max(stage, this.stage.at);
+    this.stage = { command: d.command_id, at: stage };
+    const waits = d.state === "delayed";
+    const names = passes ? ["understood", "makes ready", "moves out", "passes", "done"] : ["understood", d.lane === null ? "adjusts" : "makes ready", "changes", "done"];
+    if (over) names[last] = d.state;
+    else if (waits) names[stage] = "waits";
+    const list = box.querySelector(".steps");
+    while (list.children.length > names.length) list.lastChild.remove();
+    while (list.children.length < names.length) list.append(make("li"));
+    names.forEach((name, i) => {
+      const item = list.children[i];
+      text(item, name);
+      mark(item, "is", i < stage ? "done" : i > stage ? null : over && d.state !== "fulfilled" ? "bad" : waits ? "now" : "done");
     });
   }
 

@@ -42,17 +42,34 @@ def test_the_answer_is_timed_from_the_observation_that_it_answers():
     assert picture_of(seen(), action()).frame(11 * NS)["action"]["answered_ms"] == 0.4
 
 
-def test_a_delayed_directive_waits_for_the_rule_that_closes_its_side_now():
-    closed = Closure(action=3, rule="oncoming traffic", vehicle=4)
-    delayed = event("delayed", rule="rear gap in lane", vehicle=3, since_tick=0)
-    shown = picture_of(seen(), directive(), delayed, action(closed)).frame(11 * NS)["directive"]
+CLOSED = Closure(action=3, rule="oncoming traffic", vehicle=4)
+
+
+def test_a_directive_waits_for_the_rule_that_closes_its_side_now():
+    shown = picture_of(seen(), directive(), action(CLOSED)).frame(11 * NS)["directive"]
     assert (shown["state"], shown["rule"], shown["vehicle"]) == ("delayed", "oncoming traffic", 4)
 
 
-def test_a_delay_is_over_once_the_change_is_carried_out():
-    picture = picture_of(seen(), directive(), event("delayed", rule="rear gap in lane", since_tick=0))
-    picture.take(event("overridden", detail="and now carried out"))
+def test_a_directive_that_is_thought_about_again_waits_on():
+    picture = picture_of(seen(), directive(), action(CLOSED), seen(30), directive(id=8), action(CLOSED, tick=30))
+    assert picture.frame(12 * NS)["directive"]["waited"] == 2.0
+
+
+def test_a_directive_waits_no_longer_once_its_side_is_open_or_the_change_has_begun():
+    picture = picture_of(seen(), directive(), action(CLOSED))
+    assert picture_of(seen(), directive(), action()).frame(11 * NS)["directive"]["state"] == "active"
+    picture.take(seen(1, target_lane=0, previous_lane=1))
+    picture.take(action(CLOSED, tick=1))
     assert picture.frame(11 * NS)["directive"]["state"] == "active"
+
+
+def test_a_wished_speed_waits_once_the_fast_node_has_said_so():
+    faster = Closure(action=2, rule="speed above the gap's", vehicle=2)
+    picture = picture_of(seen(), directive(manoeuvre="cruise", target_lane=None), action(faster))
+    assert picture.frame(11 * NS)["directive"]["state"] == "active"
+    for message in (event("delayed", rule=faster.rule), action(faster)):
+        picture.take(message)
+    assert picture.frame(11 * NS)["directive"]["rule"] == "speed above the gap's"
 
 
 def test_a_directive_that_has_ended_is_shown_a_little_longer_and_then_no_more():
