@@ -381,12 +381,14 @@ export class Road {
     if (right - a > 60) this.pill(c, text, (a + right) / 2, y, colour === c.paint ? null : colour);
   }
 
-  pill(c, text, x, y, fill) {
+  /** A small label, centred on x or beginning there; kept within the canvas. */
+  pill(c, text, x, y, fill, align = "center") {
     const { ctx } = this;
     ctx.font = "600 11px system-ui, sans-serif";
     ctx.textAlign = "center";
     ctx.textBaseline = "middle";
-    const w = ctx.measureText(text).width + 12;
+    const w = ctx.measureText(text).width + 14;
+    x = Math.max(w / 2 + 4, Math.min(align === "left" ? x + w / 2 : x, this.w - w / 2 - 4));
     ctx.fillStyle = fill || c.card;
     ctx.globalAlpha = fill ? 1 : 0.85;
     ctx.beginPath();
@@ -431,7 +433,7 @@ export class Road {
     ctx.stroke();
     ctx.setLineDash([]);
     ctx.globalAlpha = 1;
-    if (plan) this.pill(c, waits ? `${plan.manoeuvre}: waits` : plan.manoeuvre, this.X(x) + l / 2 + 40, y1, waits ? c.warn : null);
+    if (plan) this.pill(c, waits ? `${plan.manoeuvre}: waits` : plan.manoeuvre, this.X(x) + l / 2 + 8, y1, waits ? c.warn : null, "left");
   }
 
   /** One car; `frame` is given for the ego. */
@@ -518,7 +520,6 @@ export class Road {
     if (!car) return;
     const { ctx } = this;
     const x = this.X(car.x), y = this.Y(car.y), l = car.length * this.scale + 10, w = car.width * this.scale + 10;
-    const at = Math.max(50, Math.min(x, this.w - 50));
     ctx.strokeStyle = c.warn;
     ctx.lineWidth = 2.5;
     if (x > 0 && x < this.w) {
@@ -528,7 +529,7 @@ export class Road {
       ctx.stroke();
       ctx.globalAlpha = 1;
     }
-    this.pill(c, x < 0 ? `◀ ${text}` : x > this.w ? `${text} ▶` : text, at, y + w / 2 + 12, c.warn);
+    this.pill(c, x < 0 ? `◀ ${text}` : x > this.w ? `${text} ▶` : text, x, y + w / 2 + 12, c.warn);
   }
 }
 
