@@ -93,7 +93,7 @@ export class Panels {
     const [name, why] = SOURCES[action.source] || [action.source, ""];
     const braking = action.meta === 5;
     text($("source"), braking ? "Emergency brake" : name);
-    $("source").title = action.why || why;
+    text($("why"), action.why || why);
     mark($("source"), "is", braking ? "fallback" : action.source);
   }
 
@@ -113,6 +113,7 @@ export class Panels {
         make("div", { className: "ttl", role: "progressbar", "aria-label": "Life of the directive", "aria-valuemin": 0, "aria-valuemax": d.ttl }, make("i")),
         make("p", { className: "wait", hidden: true, tabIndex: 0 }),
         make("ol", { className: "steps" }),
+        make("p", { className: "reason" }),
       );
       const wait = box.querySelector(".wait");
       const show = () => { if (wait.vehicle >= 0) this.road.highlight = { id: wait.vehicle, text: wait.rule }; };
@@ -129,6 +130,7 @@ export class Panels {
     const bar = box.querySelector(".ttl");
     bar.setAttribute("aria-valuenow", d.left.toFixed(0));
     bar.firstChild.style.transform = `scaleX(${Math.min(1, d.left / d.ttl)})`;
+    text(box.querySelector(".reason"), d.reasoning);
     const wait = box.querySelector(".wait");
     const delayed = d.state === "delayed";
     wait.hidden = !delayed;
