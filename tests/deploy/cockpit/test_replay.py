@@ -20,7 +20,8 @@ class Tape:
     clock_offset_ns = OFFSET
 
     def __init__(self) -> None:
-        self.start_ns, self.rows = OFFSET + 10 * NS, []
+        self.start_ns = OFFSET + 10 * NS
+        self.rows: list[tuple[int, str, Message]] = []
         for tick in range(150):
             at_ns = self.start_ns + tick * NS // 15
             self.rows.append((at_ns, "observation", seen(tick)))
