@@ -123,12 +123,14 @@ class RecordingSource:
         self.speed = 1.0
         names = [topic.name for topic in topics.TOPICS if topic.name not in FAST]
         self._said = [(at_ns, message) for at_ns, _, message in recording.messages(names)]
-        self._at_ns = recording.start_ns
+        first = next(recording.messages(("observation",)), None)
+        self._start_ns = recording.start_ns if first is None else first[0]  # before it there is nothing to see
+        self._at_ns = self._start_ns
         self._looked_ns = clock_ns()
         self._ready: list[Message] = []
         self._rest: Iterator[tuple[int, str, Message]] = iter(())
         self._next: tuple[int, str, Message] | None = None
-        self._jump(recording.start_ns)
+        self._jump(self._start_ns)
 
     def take(self) -> list[Message]:
         looked_ns, self._looked_ns = self._looked_ns, self._clock_ns()
@@ -154,7 +156,7 @@ class RecordingSource:
                 self.paused = True
             case "resume", None:
                 if self._at_ns >= self._recording.end_ns:
-                    self._jump(self._recording.start_ns)
+                    self._jump(self._start_ns)
                 self.paused = False
             case "step", None:
                 self.paused = True
@@ -162,20 +164,19 @@ class RecordingSource:
             case "speed", int() | float() if SPEEDS[0] <= value <= SPEEDS[1]:
                 self.speed = float(value)
             case "seek", int() | float() if math.isfinite(value):
-                goal_ns = self._recording.start_ns + round(value * NS)
-                self._jump(min(max(goal_ns, self._recording.start_ns), self._recording.end_ns))
+                goal_ns = self._start_ns + round(value * NS)
+                self._jump(min(max(goal_ns, self._start_ns), self._recording.end_ns))
             case _:
                 raise Refused("A recording takes no such order.")
 
     def state(self) -> dict[str, Any]:
-        recording = self._recording
         return {
             "kind": self.kind,
             "can": ["pause", "step", "speed", "seek"],
             "paused": self.paused,
             "speed": self.speed,
-            "position": round((self._at_ns - recording.start_ns) / NS, 2),
-            "length": round((recording.end_ns - recording.start_ns) / NS, 2),
+            "position": round((self._at_ns - self._start_ns) / NS, 2),
+            "length": round((self._recording.end_ns - self._start_ns) / NS, 2),
         }
 
     def _jump(self, goal_ns: int) -> None:

@@ -20,14 +20,15 @@ class Tape:
     clock_offset_ns = OFFSET
 
     def __init__(self) -> None:
-        self.start_ns = OFFSET + 10 * NS
+        first_ns = OFFSET + 10 * NS
+        self.start_ns = first_ns - 30 * NS  # the recorder was there before the car
         self.rows: list[tuple[int, str, Message]] = []
         for tick in range(150):
-            at_ns = self.start_ns + tick * NS // 15
+            at_ns = first_ns + tick * NS // 15
             self.rows.append((at_ns, "observation", seen(tick)))
             self.rows.append((at_ns + 400_000, "action", action(tick=tick)))
         said = Command(epoch=0, stamp_ns=12 * NS, id=1, text="faster")
-        self.rows.append((self.start_ns + 2 * NS - 1, "command", said))
+        self.rows.append((first_ns + 2 * NS - 1, "command", said))
         self.rows.sort(key=lambda row: row[0])
         self.end_ns = self.rows[-1][0]
 
