@@ -63,8 +63,12 @@ def run(
             show_default="fastslow",
         ),
     ] = None,
+    cockpit: Annotated[bool, typer.Option(help="Serve the page that shows the car, on this computer only.")] = True,
+    cockpit_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Where it is served; if that is held, or 0: any free port.")
+    ] = 8000,
 ) -> None:
-    """Start the simulator, the fast and the slow node and the language model, and watch over them."""
+    """Start the simulator, the fast and the slow node, the language model and the cockpit, and watch over them."""
     from deploy.run.processes import NAMES, RunOptions
 
     unknown = sorted(set(without or ()) - set(NAMES))
@@ -93,6 +97,7 @@ def run(
                 noise_m=noise_m,
                 noise_mps=noise_mps,
                 dropout=dropout,
+                cockpit_port=cockpit_port if cockpit else None,
             )
         )
     )

@@ -17,6 +17,7 @@ from deploy.cockpit.server import MAX_IN_BYTES, application
 from deploy.cockpit.sources import BusSource, Source
 from schemas.runtime.bus import BusError, open_bus
 from schemas.runtime.process import ConfigError, Heartbeat, load_config, log, run_node
+from schemas.runtime.realtime import yield_to_others
 
 NAME = "cockpit"
 
@@ -97,14 +98,16 @@ async def serve(
 def main() -> None:
     config = load_config(CockpitConfig, sys.argv[1:])
     listener = listen(config.host, config.port)
+    scheduling = yield_to_others() if config.polite else "off"
+    port = float(listener.getsockname()[1])
     try:
         with open_bus(config.bus) as bus:
             hubs: list[Hub] = []
-            with Heartbeat(bus, NAME, lambda: hubs[0].figures() if hubs else {}):
+            with Heartbeat(bus, NAME, lambda: {"port": port, **(hubs[0].figures() if hubs else {})}):
 
                 def ready(hub: Hub) -> None:
                     hubs.append(hub)
-                    log(NAME, "ready", address(listener), address=address(listener))
+                    log(NAME, "ready", address(listener), realtime=scheduling)
 
                 asyncio.run(serve(BusSource(bus), listener, writable=config.writable, ready=ready))
     except BusError as error:

@@ -79,6 +79,8 @@ class RunOptions:
     """What drives, always behind the mask: see `fast_node.policies.load.load_policy`."""
     trace: Path | None = None
     """A folder for the stamps of every tick of sim and fast."""
+    cockpit_port: int | None = None
+    """Where the page is served that shows the run, on loopback; None: there is none; 0: any free port."""
 
 
 def free_port() -> int:
@@ -87,6 +89,18 @@ def free_port() -> int:
         probe.bind((TCP_HOST, 0))
         port: int = probe.getsockname()[1]
         return port
+
+
+def free_port_from(port: int) -> int:
+    """`port` if nobody listens there now, else any free one."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((TCP_HOST, port))
+        except OSError:
+            return free_port()
+        found: int = probe.getsockname()[1]
+        return found
 
 
 def choose_model() -> Model:
@@ -191,6 +205,22 @@ def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Pro
                 start_s=120.0,
                 nice=10,
             ),
+        )
+    if options.cockpit_port is not None:
+        page = {
+            "bus": {"mode": "client", "connect": [_socket(sockets, "bus")]},
+            "port": free_port_from(options.cockpit_port),  # the same after a restart, so that open pages find it again
+        }
+        table.append(
+            Process(
+                name="cockpit",
+                argv=python_module("deploy.cockpit", page),
+                critical=False,
+                # It has what the others leave of the processor: slow is not dead.
+                heartbeat_s=30.0,
+                start_s=120.0,
+                nice=10,
+            )
         )
     return tuple(process for process in table if process.name not in options.without)
 

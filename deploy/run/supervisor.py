@@ -96,6 +96,10 @@ class Supervisor:
     def states(self) -> dict[str, State]:
         return {name: child.state for name, child in self._children.items()}
 
+    def probed(self) -> list[tuple[str, int, State]]:
+        """(name, process id or 0, state) of those that speak no zenoh, for whom we publish the heartbeat."""
+        return [(name, self.pid(name) or 0, c.state) for name, c in self._children.items() if c.process.probe_url]
+
     def pid(self, name: str) -> int | None:
         """The process id of a running child."""
         launched = self._children[name].launched
@@ -112,7 +116,9 @@ class Supervisor:
     def beat(self, name: str, pid: int) -> None:
         """A heartbeat of a node. One that a killed predecessor sent last is not its successor's."""
         child = self._children.get(name)
-        if child is not None and child.launched is not None and child.launched.pid == pid:
+        if child is None or child.process.probe_url:
+            return
+        if child.launched is not None and child.launched.pid == pid:
             self._heard(child, time.monotonic())
 
     def step(self) -> int | None:

@@ -31,7 +31,7 @@ from schemas.runtime.clock import NS
 from schemas.runtime.process import CONFIG, FAILED, OK, TRY_AGAIN
 from schemas.runtime.realtime import trial
 from schemas.wire import topics
-from schemas.wire.messages import Command
+from schemas.wire.messages import Command, Status
 
 STEP_S = 0.05
 OVERTIME_S = 5.0
@@ -92,6 +92,8 @@ class _Run:
         self._out = sys.stderr if options.as_json else sys.stdout
         self._supervisor = Supervisor(table, self._folder, self._notice, policy)
         self._live = Live()
+        self._spoken_for_s = 0.0
+        self._page = ""
         self._opened_ns = time.monotonic_ns()
         self._began_ns: int | None = None
         self._summary = Summary(options.scenario, options.seed, self._opened_ns)
@@ -121,6 +123,7 @@ class _Run:
                     self._read_bus()
                     code = supervisor.step()
                     self._begin_and_say()
+                    self._speak_for_the_probed()
                     if code is None and self._overdue():
                         code = OK
                     if time.monotonic() >= next_line_s:
@@ -156,6 +159,7 @@ class _Run:
         for status in self._status.take():
             self._supervisor.beat(status.node, status.pid)
             self._live.status(status)
+            self._show_page(status)
             self._summary.status(status)
         for observation in self._observations.take():
             self._live.observation(observation)
@@ -174,6 +178,32 @@ class _Run:
             line = self._live.event(event)
             if line is not None:
                 self._print(line)
+
+    def _show_page(self, status: Status) -> None:
+        """Tell where the cockpit is, once it is there."""
+        if status.node == "cockpit" and not self._page:
+            self._page = f"http://{TCP_HOST}:{status.figures.get('port', 0):.0f}/"
+            self._notice(f"the car is shown at {self._page}")
+
+    def _speak_for_the_probed(self) -> None:
+        """Twice a second the heartbeat of those that speak no zenoh, so that everybody sees every process."""
+        now_s = time.monotonic()
+        if now_s - self._spoken_for_s < 0.5:
+            return
+        self._spoken_for_s = now_s
+        for name, pid, state in self._supervisor.probed():
+            self._bus.publish(
+                topics.STATUS,
+                Status(
+                    epoch=0,
+                    stamp_ns=time.monotonic_ns(),
+                    node=name,
+                    pid=pid,
+                    seq=0,
+                    state="ready" if state == "ready" else "degraded" if state == "gave up" else "starting",
+                    detail="" if state in ("ready", "starting") else state,
+                ),
+            )
 
     def _begin_and_say(self) -> None:
         """The run begins when the road is there and all who should listen do; the words of `--say` count from then."""

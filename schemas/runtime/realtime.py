@@ -128,3 +128,21 @@ def weigh_session(nice: int) -> None:
                 time.sleep(0.1)  # EAGAIN: the kernel allows one such change in 0.1 s, whoever asks for it
     except OSError:  # no autogroups, or not permitted
         pass
+
+
+def yield_to_others(nice: int = 19) -> str:
+    """Run only when nobody else wants the core, this thread and those it starts. Never fails; returns what it got.
+
+    With autogroups SCHED_IDLE counts only within a session, so that the session's weight goes down as well, to that of
+    `nice`: of one that is this process's own, not of the shell that somebody started it from.
+    """
+    if sys.platform != "linux":
+        return "off"
+    said = "SCHED_IDLE"
+    try:
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    except OSError:
+        said = "off (SCHED_IDLE is not permitted)"
+    if os.getsid(0) == os.getpid():
+        weigh_session(nice)
+    return said
