@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import re
@@ -9,11 +10,13 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 import pytest
@@ -27,6 +30,13 @@ QUIET = (
     "--disable-component-update", "--disable-sync",
 )  # fmt: skip
 PATIENCE_MS = 60_000
+T = TypeVar("T")
+
+
+def aside(does: Callable[[], T]) -> T:
+    """What waits, on a thread of its own: this one runs the browser driver's event loop."""
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(does).result()
 
 
 @pytest.fixture(scope="module")
@@ -44,36 +54,42 @@ def browser() -> Iterator[Any]:
 class Run:
     """The system, with where its cockpit is."""
 
-    process: subprocess.Popen[str]
+    process: subprocess.Popen[bytes]
     url: str
-    summary: dict[str, Any] = field(default_factory=dict)
 
 
 @pytest.fixture
 def system(tmp_path: Path) -> Iterator[Callable[..., Run]]:
-    running: list[subprocess.Popen[str]] = []
+    running: list[subprocess.Popen[bytes]] = []
 
     def start(*options: str) -> Run:
         env = {k: v for k, v in os.environ.items() if not k.startswith("OPENAI_")}
-        process = subprocess.Popen(
-            [sys.executable, "-m", "deploy", "run", "--port", "0", "--cockpit-port", "0", *options],
-            cwd=tmp_path,
-            env=env | {"PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(tmp_path)},
-            text=True,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-        )
+        said = tmp_path / "said"
+        with said.open("wb") as out:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "deploy", "run", "--port", "0", "--cockpit-port", "0", *options],
+                cwd=tmp_path,
+                env=env | {"PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(tmp_path)},
+                stdout=out,
+                stderr=out,
+            )
         running.append(process)
-        assert process.stdout is not None
-        for line in process.stdout:
-            if found := re.search(r"http://127\.0\.0\.1:\d+/", line):
-                return Run(process, found.group())
-        raise AssertionError("the run has ended without a cockpit")
+        return Run(process, aside(lambda: address_in(said, process)))
 
     yield start
     for process in running:
         process.send_signal(signal.SIGTERM)
-        process.communicate(timeout=30)
+        aside(functools.partial(process.wait, timeout=60))
+
+
+def address_in(said: Path, process: subprocess.Popen[bytes]) -> str:
+    """The cockpit's address, once the run has told it."""
+    until = time.monotonic() + PATIENCE_MS / 1000
+    while not (found := re.search(r"http://127\.0\.0\.1:\d+/", said.read_text())):
+        assert process.poll() is None, said.read_text()
+        assert time.monotonic() < until, said.read_text()
+        time.sleep(0.1)
+    return found.group()
 
 
 @contextmanager
@@ -122,7 +138,7 @@ def test_a_killed_node_is_seen_to_go_and_to_come_back_while_the_car_drives_on(br
     with page_on(browser, run.url) as page:
         page.keyboard.press("3")
         page.locator("#nodes li", has_text="slow").first.wait_for(timeout=PATIENCE_MS)
-        os.kill(child_of(run.process.pid, "slow_node"), signal.SIGKILL)
+        os.kill(aside(lambda: child_of(run.process.pid, "slow_node")), signal.SIGKILL)
         see(page, "#events li[data-kind=back]", "slow")
         assert page.get_attribute("#link", "data-is") == "live"
 
@@ -132,7 +148,7 @@ def test_a_killed_cockpit_comes_back_to_the_same_page(browser, system):
     page = browser.new_page()
     page.goto(run.url)
     page.wait_for_selector("#link[data-is=live]", timeout=PATIENCE_MS)
-    os.kill(child_of(run.process.pid, "deploy.cockpit"), signal.SIGKILL)
+    os.kill(aside(lambda: child_of(run.process.pid, "deploy.cockpit")), signal.SIGKILL)
     page.wait_for_selector("#link[data-is=lost]", timeout=PATIENCE_MS)
     page.wait_for_selector("#link[data-is=live]", timeout=PATIENCE_MS)
     page.close()
@@ -144,7 +160,7 @@ def test_a_page_that_hangs_costs_the_loop_no_tick(browser, system, tmp_path):
     page.goto(run.url)
     page.wait_for_selector("#link[data-is=live]", timeout=PATIENCE_MS)
     page.evaluate("() => { setTimeout(() => { for (;;); }, 0); }")
-    run.process.communicate(timeout=120)
+    aside(lambda: run.process.wait(timeout=120))
     summary = json.loads(next(tmp_path.glob("runs/*/summary.json")).read_text())
     assert run.process.returncode == 0
     assert summary["ticks"] - summary["answered"] <= 1
