@@ -143,9 +143,10 @@ export class Road {
     this.ghost(c, ego, frame, now);
     for (const car of cars.slice(1).reverse()) this.car(c, car, null);
     this.car(c, ego, frame);
-    this.labels(c, cars);
-    if (this.highlight) this.mark(c, cars, this.highlight, now);
-    else if (frame.directive?.state === "delayed" && frame.directive.vehicle >= 0) this.mark(c, cars, { id: frame.directive.vehicle, text: frame.directive.rule }, now);
+    const plan = frame.directive;
+    const marked = this.highlight ?? (plan?.state === "delayed" && plan.vehicle >= 0 ? { id: plan.vehicle, text: plan.rule } : null);
+    this.labels(c, cars, marked?.id);
+    if (marked) this.mark(c, cars, marked, now);
     this.overview(c, cars, left, right);
     return { frame, cars };
   }
@@ -366,7 +367,7 @@ export class Road {
     const ego = cars[0];
     const a = this.X(ego.x + ego.length / 2), b = this.X(lead.x - lead.length / 2), y = this.Y((ego.y + lead.y) / 2);
     if (b - a < 14) return;
-    const colour = near.ttc !== null && near.ttc < 3 ? c.bad : near.ttc !== null && near.ttc < 6 ? c.warn : c.paint;
+    const colour = near.ttc !== null && near.ttc < 3 ? c.bad : near.ttc !== null && near.ttc < 6 ? c.amber : c.paint;
     ctx.strokeStyle = colour;
     ctx.globalAlpha = 0.6;
     ctx.lineWidth = 1;
@@ -412,7 +413,7 @@ export class Road {
     const x = ego.x + ahead, y = this.laneY(lane, x);
     if (Math.abs(y - ego.y) < 0.4) return;
     const x0 = this.X(ego.x + ego.length / 2), y0 = this.Y(ego.y), x1 = this.X(x - ego.length / 2), y1 = this.Y(y);
-    const colour = waits ? c.warn : c.accent;
+    const colour = waits ? c.amber : c.accent;
     ctx.strokeStyle = colour;
     ctx.lineWidth = 3;
     ctx.globalAlpha = steers ? 0.9 : 0.6;
@@ -433,7 +434,7 @@ export class Road {
     ctx.stroke();
     ctx.setLineDash([]);
     ctx.globalAlpha = 1;
-    if (plan) this.pill(c, waits ? `${plan.manoeuvre}: waits` : plan.manoeuvre, this.X(x) + l / 2 + 8, y1, waits ? c.warn : null, "left");
+    if (plan) this.pill(c, waits ? `${plan.manoeuvre}: waits` : plan.manoeuvre, this.X(x) + l / 2 + 8, y1, waits ? c.amber : null, "left");
   }
 
   /** One car; `frame` is given for the ego. */
@@ -499,13 +500,13 @@ export class Road {
     ctx.restore();
   }
 
-  labels(c, cars) {
+  labels(c, cars, except) {
     const { ctx } = this;
     ctx.font = "600 11px system-ui, sans-serif";
     ctx.textAlign = "center";
     for (const car of cars.slice(1)) {
       const x = this.X(car.x);
-      if (x < 12 || x > this.w - 12) continue;
+      if (x < 12 || x > this.w - 12 || car.id === except) continue;
       ctx.globalAlpha = 0.9 * car.alpha;
       ctx.fillStyle = c.label;
       const above = this.Y(car.y) - car.width * this.scale / 2 - 3;
@@ -520,7 +521,7 @@ export class Road {
     if (!car) return;
     const { ctx } = this;
     const x = this.X(car.x), y = this.Y(car.y), l = car.length * this.scale + 10, w = car.width * this.scale + 10;
-    ctx.strokeStyle = c.warn;
+    ctx.strokeStyle = c.amber;
     ctx.lineWidth = 2.5;
     if (x > 0 && x < this.w) {
       ctx.globalAlpha = 0.75 + 0.25 * Math.sin(now / 160);
@@ -529,7 +530,7 @@ export class Road {
       ctx.stroke();
       ctx.globalAlpha = 1;
     }
-    this.pill(c, x < 0 ? `◀ ${text}` : x > this.w ? `${text} ▶` : text, x, y + w / 2 + 12, c.warn);
+    this.pill(c, x < 0 ? `◀ ${text}` : x > this.w ? `${text} ▶` : text, x, car.y < cars[0].y - 1 ? y - w / 2 - 8 : y + w / 2 + 12, c.amber);
   }
 }
 

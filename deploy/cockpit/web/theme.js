@@ -35,6 +35,7 @@ export function colours() {
   cache.otherRoof = of("other-roof");
   cache.accentRoof = isDark ? "#0d3a55" : "#003a66";
   cache.beam = isDark ? "rgba(255,250,220,.28)" : "rgba(255,255,255,.35)";
+  cache.amber = "#ffb84d";
   cache.facing = isDark ? 0.15 : 0.3;
   cache.borrowed = isDark ? 0.34 : 0.6;
   cache.label = isDark ? "#d5dee8" : "#ffffff";
