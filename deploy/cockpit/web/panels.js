@@ -145,12 +145,12 @@ export class Panels {
     const passes = d.manoeuvre === "overtake";
     const borrowed = this.road.road?.lanes[frame.cars[0][8]]?.way < 0;
     const over = OVER.includes(d.state);
-    const last = passes ? 4 : 3;
-    let stage = over ? last : passes && borrowed ? 3 : frame.previous_lane >= 0 ? 2 : 1;
-    if (this.stage?.command === d.command_id) stage = Math.max(stage, this.stage.at);
-    this.stage = { command: d.command_id, at: stage };
+    const last = passes ? 4 : d.lane === null ? 2 : 3;
+    let stage = over ? last : passes && borrowed ? 3 : frame.previous_lane >= 0 && last > 2 ? 2 : 1;
+    if (this.stage?.command === d.command_id && this.stage.last === last) stage = Math.max(stage, this.stage.at);
+    this.stage = { command: d.command_id, at: stage, last };
     const waits = d.state === "delayed";
-    const names = passes ? ["understood", "makes ready", "moves out", "passes", "done"] : ["understood", d.lane === null ? "adjusts" : "makes ready", "changes", "done"];
+    const names = passes ? ["understood", "makes ready", "moves out", "passes", "done"] : d.lane === null ? ["understood", "adjusts", "done"] : ["understood", "makes ready", "changes", "done"];
     if (over) names[last] = d.state;
     else if (waits) names[stage] = "waits";
     const list = box.querySelector(".steps");
