@@ -79,10 +79,12 @@ class FastNode:
             self._decided_tick = -(10**9)
         self._epoch, self._intent = observation.epoch, intent
         source: str
+        probabilities: tuple[float, ...] = ()
         try:
             logits = self._logits(observation, table, lanes, intent).tolist()
             if not math.isfinite(sum(logits)):
                 raise FloatingPointError("non-finite logits")
+            probabilities = softmax(logits)
             narrowed = rule.copy()
             narrow(
                 narrowed,
@@ -124,6 +126,7 @@ class FastNode:
             budget_ns=round(self._config.budget_ms * 1e6),
             closed=closed,
             why=why,
+            probabilities=probabilities,
         ), events
 
     def _logits(
@@ -140,6 +143,14 @@ class FastNode:
                 lanes[observation.target_lane][LANE_END] - table[0][X],
             )
         )
+
+
+def softmax(logits: list[float]) -> tuple[float, ...]:
+    """The probabilities that logits stand for."""
+    most = max(logits)
+    weights = [math.exp(logit - most) for logit in logits]
+    total = sum(weights)
+    return tuple(weight / total for weight in weights)
 
 
 def fallback(rule: list[int], lanes: list[tuple[float, ...]], target_lane: int) -> int:

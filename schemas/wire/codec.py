@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.wire.messages import ROW_COLUMNS, ROW_LAYOUT, SCHEMA_VERSION, Command, Message, Observation
-from schemas.wire.topics import MAX_COMMAND_CHARS, MAX_MESSAGE_BYTES, Topic
+from schemas.wire.topics import MAX_COMMAND_CHARS, MAX_MESSAGE_BYTES, TOPICS, Topic
 
 M = TypeVar("M", bound=Message)
 _MAJOR = SCHEMA_VERSION.partition(".")[0]
+_MOST: dict[type[Message], int] = {topic.type: topic.max_bytes for topic in TOPICS}
 _encoder = msgspec.msgpack.Encoder()
 _decoders: dict[type[Message], msgspec.msgpack.Decoder[Any]] = {}
 
@@ -23,10 +24,11 @@ class Fault(ValueError):  # noqa: N818 - a word of the contract, not a mistake o
 
 
 def encode(message: Message) -> bytes:
-    """MessagePack map of a message. Raises `Fault` if it would exceed `MAX_MESSAGE_BYTES`."""
+    """MessagePack map of a message. Raises `Fault` if it would exceed its topic's `max_bytes`."""
     payload = _encoder.encode(message)
-    if len(payload) > MAX_MESSAGE_BYTES:
-        raise Fault(f"{type(message).__name__} of {len(payload)} bytes exceeds {MAX_MESSAGE_BYTES}")
+    most = _MOST.get(type(message), MAX_MESSAGE_BYTES)
+    if len(payload) > most:
+        raise Fault(f"{type(message).__name__} of {len(payload)} bytes exceeds {most}")
     return payload
 
 
@@ -36,8 +38,8 @@ def decode(topic: Topic[M], payload: bytes) -> M:
     Raises `Fault` on anything else: too large, not MessagePack, a missing or ill-typed field, a non-finite number where
     one drives the car, another schema major (naming both versions).
     """
-    if len(payload) > MAX_MESSAGE_BYTES:
-        raise Fault(f"{len(payload)} bytes exceed {MAX_MESSAGE_BYTES}")
+    if len(payload) > topic.max_bytes:
+        raise Fault(f"{len(payload)} bytes exceed {topic.max_bytes}")
     decoder = _decoders.get(topic.type)
     if decoder is None:
         decoder = _decoders[topic.type] = msgspec.msgpack.Decoder(topic.type)

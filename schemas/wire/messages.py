@@ -20,7 +20,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-SCHEMA_VERSION = "2.0"
+SCHEMA_VERSION = "2.1"
 
 Manoeuvre = Literal["cruise", "follow", "overtake", "merge", "yield", "stop"]
 Style = Literal["calm", "normal", "assertive"]
@@ -164,6 +164,8 @@ class Action(Message, frozen=True, kw_only=True, tag="action"):
     budget_ns: int = 0
     closed: tuple[Closure, ...] = ()
     why: str = ""
+    probabilities: tuple[float, ...] = ()
+    """The policy's, of its five actions, before mask and intent close any; empty where it has not spoken."""
 
 
 class Command(Message, frozen=True, kw_only=True, tag="command"):
@@ -258,4 +260,62 @@ class Status(Message, frozen=True, kw_only=True, tag="status"):
     detail: str = ""
 
 
-AnyMessage = Observation | Action | Command | Directive | Reply | Event | Status
+class Turn(Struct, frozen=True, kw_only=True):
+    """One message of a prompt to the language model."""
+
+    role: str
+    content: str
+
+
+class Recalled(Struct, frozen=True, kw_only=True):
+    """One example out of the memory bank."""
+
+    command: str
+    similarity: float
+    """Cosine of the two commands."""
+    slots: str
+    """What it was taken to mean, as JSON."""
+    outcome: str
+    """What came of it the last time."""
+
+
+class Thought(Message, frozen=True, kw_only=True, tag="thought"):
+    """How a command was understood: for people who look. Nothing is driven by it, and long texts are cut off."""
+
+    command_id: int
+    command: str
+    source: str
+    """Who decided: "refusals", "parser", "memory" or the language model's name."""
+    outcome: str
+    """Of the first reply after it: "issued", "refused" or "failed"."""
+    reading: str = ""
+    """What the intent parser made of it."""
+    recalled: tuple[Recalled, ...] = ()
+    prompt: tuple[Turn, ...] = ()
+    """Empty where the language model was not asked."""
+    answers: tuple[str, ...] = ()
+    """The language model's, as they came; the second is a repair."""
+    guards: tuple[str, ...] = ()
+    """What was changed of the answer, or why it was not followed."""
+    slots: str = ""
+    """What the command was taken to mean in the end, as JSON."""
+    spans_ms: dict[str, float] = {}
+    """How long each part took."""
+    prompt_tokens: int = 0
+    answer_tokens: int = 0
+    trimmed: bool = False
+    """Something was too long and is cut off."""
+
+
+class Control(Message, frozen=True, kw_only=True, tag="control"):
+    """What somebody orders who watches the simulator. A real road would not obey."""
+
+    do: Literal["pause", "resume", "step", "restart"]
+    """Stand still; go on; one tick, then stand still; a new world."""
+    scenario: str = ""
+    """Of a restart: the road; "" for the same."""
+    seed: int | None = None
+    """Of a restart: which traffic; None for the same."""
+
+
+AnyMessage = Observation | Action | Command | Directive | Reply | Event | Status | Thought | Control

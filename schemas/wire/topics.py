@@ -12,6 +12,8 @@ M = TypeVar("M", bound=m.Message)
 PREFIX = "fastslow/ego"
 MAX_MESSAGE_BYTES = 3072
 """A larger payload is refused on both sides: zenoh would move it to shared memory, and a tick must stay small."""
+MAX_THOUGHT_BYTES = 16_384
+"""Of a thought alone, which is prose, concerns no tick and travels to no critical node."""
 MAX_COMMAND_CHARS = 500
 """A longer command is refused with a reason."""
 
@@ -31,6 +33,7 @@ class Topic(Generic[M]):
     hz: float | None
     stale_after_s: float
     depth: int
+    max_bytes: int = MAX_MESSAGE_BYTES
 
     @property
     def key(self) -> str:
@@ -44,6 +47,10 @@ COMMAND = Topic(name="command", type=m.Command, publisher="passenger", hz=None, 
 REPLY = Topic(name="reply", type=m.Reply, publisher="slow", hz=None, stale_after_s=60.0, depth=16)
 EVENT = Topic(name="event", type=m.Event, publisher="any", hz=None, stale_after_s=60.0, depth=64)
 STATUS = Topic(name="status", type=m.Status, publisher="any", hz=5, stale_after_s=1.0, depth=16)
+THOUGHT = Topic(
+    name="thought", type=m.Thought, publisher="slow", hz=None, stale_after_s=60.0, depth=8, max_bytes=MAX_THOUGHT_BYTES
+)
+CONTROL = Topic(name="control", type=m.Control, publisher="anyone", hz=None, stale_after_s=10.0, depth=8)
 
 TOPICS: tuple[
     Topic[m.Observation]
@@ -52,6 +59,8 @@ TOPICS: tuple[
     | Topic[m.Command]
     | Topic[m.Reply]
     | Topic[m.Event]
-    | Topic[m.Status],
+    | Topic[m.Status]
+    | Topic[m.Thought]
+    | Topic[m.Control],
     ...,
-] = (OBSERVATION, ACTION, DIRECTIVE, COMMAND, REPLY, EVENT, STATUS)
+] = (OBSERVATION, ACTION, DIRECTIVE, COMMAND, REPLY, EVENT, STATUS, THOUGHT, CONTROL)

@@ -47,6 +47,7 @@ STRATEGIES: dict[str, st.SearchStrategy[m.Message]] = {
         why=words,
         speed_goal_mps=st.none() | numbers,
         directive_id=st.none() | counts,
+        probabilities=st.lists(numbers, max_size=5).map(tuple),
         closed=st.lists(st.builds(m.Closure, action=st.integers(0, 5), rule=st.sampled_from(m.Reason)), max_size=6).map(
             tuple
         ),
@@ -92,6 +93,27 @@ STRATEGIES: dict[str, st.SearchStrategy[m.Message]] = {
         figures=st.dictionaries(st.text(string.ascii_lowercase, max_size=12), numbers, max_size=12),
         **header,
     ),
+    "thought": st.builds(
+        m.Thought,
+        command_id=counts,
+        command=words,
+        source=words,
+        outcome=words,
+        prompt=st.lists(st.builds(m.Turn, role=words, content=st.text(max_size=500)), max_size=5).map(tuple),
+        recalled=st.lists(
+            st.builds(m.Recalled, command=words, similarity=numbers, slots=words, outcome=words), max_size=5
+        ).map(tuple),
+        answers=st.lists(st.text(max_size=300), max_size=2).map(tuple),
+        spans_ms=st.dictionaries(words, numbers, max_size=3),
+        **header,
+    ),
+    "control": st.builds(
+        m.Control,
+        do=st.sampled_from(["pause", "resume", "step", "restart"]),
+        scenario=words,
+        seed=st.none() | counts,
+        **header,
+    ),
 }
 CASES = st.sampled_from(TOPICS).flatmap(lambda topic: st.tuples(st.just(topic), STRATEGIES[topic.name]))
 
@@ -131,7 +153,7 @@ def test_a_damaged_message_never_raises_anything_but_a_fault(
 def test_every_message_comes_back_as_it_went_and_is_small(case: tuple[Topic[m.Message], m.Message]) -> None:
     topic, message = case
     payload = encode(message)
-    assert len(payload) <= MAX_MESSAGE_BYTES
+    assert len(payload) <= topic.max_bytes
     assert decode(topic, payload) == message
 
 
@@ -184,6 +206,8 @@ RECORDED = json.loads(Path(__file__).with_name("recorded.json").read_text("utf-8
 @ANY_TOPIC
 def test_bytes_recorded_from_every_version_of_this_major_mean_what_they_meant(topic: Topic[m.Message]) -> None:
     for version, recorded in RECORDED.items():
+        if topic.name not in recorded:  # it came with a later version
+            continue
         payload = base64.b64decode(recorded[topic.name])
         if version.partition(".")[0] == m.SCHEMA_VERSION.partition(".")[0]:
             message = decode(topic, payload)
