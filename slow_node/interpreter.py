@@ -13,11 +13,12 @@ import time
 from dataclasses import dataclass
 from typing import Literal
 
-from slow_node.llm.model import ChatModel, ModelError, ModelTimeoutError
+from slow_node.llm.model import Chat, ChatModel, ModelError, ModelTimeoutError
 from slow_node.memory.bank import Example, Memory
 from slow_node.planning.directive import UNSAFE_WHY, ParseError, cross_check, parse_answer
 from slow_node.planning.prompt import adapted_prompt, build_prompt, repair_prompt
 from slow_node.planning.scene import Scene, describe
+from slow_node.thought import Trace
 from slow_node.understanding.intent_parser import IntentParser, Parsed
 from slow_node.understanding.numbers import quantities
 from slow_node.understanding.refusals import unsafe
@@ -71,11 +72,14 @@ class Interpreter:
         self._style, self._k, self._budget_s, self._mode = style, k, budget_s, ask
         self._schema = adapted_schema() if style == "adapted" else answer_schema(style == "short")
 
-    async def interpret(self, command: str, scene: Scene, delayed: str = "", delayed_by: str = "") -> Interpretation:
+    async def interpret(
+        self, command: str, scene: Scene, delayed: str = "", delayed_by: str = "", trace: Trace | None = None
+    ) -> Interpretation:
         """What a command means. `delayed`: the manoeuvre asked for before that the fast node is delaying, `delayed_by`:
-        the rule. Never raises for a model's failure."""
+        the rule. Never raises for a model's failure. How it came about goes into `trace`."""
         started = time.monotonic()
-        parsed, nearest = await asyncio.to_thread(self._parse, command, scene)
+        trace = trace or Trace()
+        parsed, nearest = await asyncio.to_thread(self._parse, command, scene, trace)
         if unsafe(command):
             language = parsed.slots.language if parsed else "en"
             slots = Slots(outcome="refused", reasoning="dangerous or forbidden words", language=language)
@@ -88,7 +92,7 @@ class Interpreter:
         text = describe(scene, delayed_by) + (f"; intent: {delayed}" if delayed else "")
         budget_s = min(self._budget_s, EMBEDDED_BUDGET_S) if self._mode == "unsure" and parsed else self._budget_s
         try:
-            slots = await self._ask(command, text, nearest, started + budget_s)
+            slots = await self._ask(command, text, nearest, started + budget_s, trace)
         except ModelError as error:
             return self._without_model(parsed, nearest, str(error))
         except ParseError as error:
@@ -103,29 +107,50 @@ class Interpreter:
             return Interpretation(
                 None, f"the model's answer cannot be used: {error}", model_ms=_ms(started), nearest=nearest
             )
+        answered = slots
         slots, why = self._checked(command, slots, parsed, nearest)
+        if not why and slots.decision() != answered.decision():
+            trace.guards.append("numbers are those that were said, and no others")
         return Interpretation(slots, why, model_ms=_ms(started), source=self._model.name, nearest=nearest)
 
-    def _parse(self, command: str, scene: Scene) -> tuple[Parsed | None, tuple[Example, ...]]:
+    def _parse(self, command: str, scene: Scene, trace: Trace) -> tuple[Parsed | None, tuple[Example, ...]]:
+        began = time.monotonic()
         parsed = self._parser.parse(command, scene.speed_mps, scene.limit_mps) if self._parser else None
-        return parsed, tuple(self._memory.nearest(command, self._k))
+        trace.spans_ms["parser"] = _ms(began)
+        began = time.monotonic()
+        trace.nearest = tuple(self._memory.nearest(command, self._k))
+        trace.spans_ms["memory"] = _ms(began)
+        if parsed is not None:
+            trace.reading = f"{parsed.slots.outcome}: {_reasoned(parsed).reasoning}"
+        return parsed, trace.nearest
 
     def _asks(self, parsed: Parsed) -> bool:
         return self._mode == "always" or (self._mode == "unsure" and parsed.confidence < SURE)
 
-    async def _ask(self, command: str, scene: str, nearest: tuple[Example, ...], due: float) -> Slots:
-        if self._style == "adapted":
-            answer = await self._model.complete(adapted_prompt(command), self._schema, due - time.monotonic())
-            return parse_answer(answer, _numbers(command))
-        chat = build_prompt(command, scene, nearest, self._schema, short=self._style == "short")
-        answer = await self._model.complete(chat, self._schema, due - time.monotonic())
+    async def _ask(self, command: str, scene: str, nearest: tuple[Example, ...], due: float, trace: Trace) -> Slots:
+        began = time.monotonic()
+        before = self._model.prompt_tokens, self._model.answer_tokens
         try:
-            return parse_answer(answer)
-        except ParseError as error:
-            left = due - time.monotonic()
-            if left <= 0:
-                raise ModelTimeoutError("the model had no time left for a repair") from None
-            return parse_answer(await self._model.complete(repair_prompt(chat, answer, str(error)), self._schema, left))
+            if self._style == "adapted":
+                trace.prompt = adapted_prompt(command)
+                return parse_answer(await self._answer(trace, trace.prompt, due), _numbers(command))
+            trace.prompt = build_prompt(command, scene, nearest, self._schema, short=self._style == "short")
+            answer = await self._answer(trace, trace.prompt, due)
+            try:
+                return parse_answer(answer)
+            except ParseError as error:
+                if due - time.monotonic() <= 0:
+                    raise ModelTimeoutError("the model had no time left for a repair") from None
+                return parse_answer(await self._answer(trace, repair_prompt(trace.prompt, answer, str(error)), due))
+        finally:
+            trace.spans_ms["model"] = _ms(began)
+            trace.prompt_tokens = self._model.prompt_tokens - before[0]
+            trace.answer_tokens = self._model.answer_tokens - before[1]
+
+    async def _answer(self, trace: Trace, chat: Chat, due: float) -> str:
+        answer = await self._model.complete(chat, self._schema, due - time.monotonic())
+        trace.answers.append(answer)
+        return answer
 
     def _checked(
         self, command: str, slots: Slots, parsed: Parsed | None, nearest: tuple[Example, ...]

@@ -21,6 +21,7 @@ from slow_node.llm.model import MAX_TOKENS, MAX_TOKENS_SHORT, ChatModel
 from slow_node.memory.bank import Memory
 from slow_node.memory.examples import EXAMPLES
 from slow_node.planning.scene import describe, encode_scene
+from slow_node.thought import Trace, thought_of
 from slow_node.understanding.intent_parser import IntentParser
 
 NAME = "slow"
@@ -107,8 +108,11 @@ class SlowNode:
             self._interpretation = None
 
     async def _interpret(self, effect: Interpret) -> None:
+        trace = Trace()
         try:
-            found = await self._interpreter.interpret(effect.command, effect.scene, effect.delayed, effect.delayed_by)
+            found = await self._interpreter.interpret(
+                effect.command, effect.scene, effect.delayed, effect.delayed_by, trace
+            )
         except Exception as error:  # a passenger must get an answer even where this broke
             log(NAME, "fault", f"{type(error).__name__}: {error}")
             found = Interpretation(None, f"internal error: {type(error).__name__}", model_answered=False)
@@ -116,7 +120,30 @@ class SlowNode:
             self._model_ms = found.model_ms
         # Forgotten before its effects: they must not cancel the task that carries them out.
         self._interpretation = None
-        self._carry_out(self._deliberation.on_interpretation(effect.id, found, time.monotonic_ns()))
+        effects = self._deliberation.on_interpretation(effect.id, found, time.monotonic_ns())
+        self._carry_out(effects)
+        self._tell_how(effect.command, found, trace, effects)
+
+    def _tell_how(self, command: str, found: Interpretation, trace: Trace, effects: list[Effect]) -> None:
+        """Publish how the command came to be understood, with what became of it."""
+        reply = next(
+            (e for e in effects if isinstance(e, Reply) and e.outcome in ("issued", "refused", "failed")), None
+        )
+        if reply is None:  # it was replaced meanwhile
+            return
+        if reply.why:
+            trace.guards.append(reply.why)
+        thought = thought_of(
+            trace,
+            epoch=self._deliberation.epoch,
+            stamp_ns=time.monotonic_ns(),
+            command_id=reply.command_id,
+            command=command,
+            source=found.source,
+            outcome=reply.outcome,
+            slots=found.slots,
+        )
+        self._bus.publish(topics.THOUGHT, thought)
 
     async def _remember(self, effect: Remember) -> None:
         await asyncio.to_thread(
