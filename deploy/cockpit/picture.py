@@ -30,6 +30,7 @@ from schemas.wire.messages import (
     Observation,
     Reply,
     Status,
+    Thought,
 )
 
 NOTES, THOUGHTS = 400, 30
@@ -111,6 +112,10 @@ class Picture:
                 self._happened(message)
             case Status():
                 self._beat(message)
+            case Thought():
+                fields = msgspec.to_builtins(message)
+                body = {name: fields[name] for name in fields if name not in ("type", "schema", "epoch", "stamp_ns")}
+                self._keep(self.thoughts, {"kind": "thought", "t": self._seconds(message.stamp_ns), **body})
 
     def _observed(self, observation: Observation) -> None:
         last = self.observation
@@ -172,10 +177,6 @@ class Picture:
             if name not in self._lost and now_ns - status.stamp_ns > SILENT_NS:
                 self._lost.add(name)
                 self._note("health", msgspec.structs.replace(status, stamp_ns=now_ns), node=name, state="gone")
-
-    def thought(self, stamp_ns: int, body: dict[str, Any]) -> None:
-        """A thought of the slow node, with all that led to it."""
-        self._keep(self.thoughts, {"kind": "thought", "t": self._seconds(stamp_ns), **body})
 
     def since(self, number: int) -> list[Note]:
         """The notes after `number`, in order."""
@@ -255,8 +256,8 @@ class Picture:
             "tick": action.answers_tick,
             "meta": action.meta_action,
             "source": action.source,
-            "closed": [[c.action, c.rule, c.vehicle] for c in action.closed if c.action < POLICY_ACTIONS],
-            "p": [round(p, 3) for p in getattr(action, "probabilities", ())],
+            "closed": [[c.action, str(c.rule), c.vehicle] for c in action.closed if c.action < POLICY_ACTIONS],
+            "p": [round(p, 3) for p in action.probabilities],
             "why": action.why,
             "goal": action.speed_goal_mps,
             "answered_ms": None if self.answered_ms is None else round(self.answered_ms, 2),
@@ -283,7 +284,7 @@ class Picture:
             "ttl": directive.ttl_s,
             "left": round(max(left_s, 0.0), 1),
             "state": plan.ended or ("delayed" if held else "active"),
-            "rule": held.rule if held else "",
+            "rule": str(held.rule) if held else "",
             "vehicle": held.vehicle if held else -1,
             "waited": round((seen.tick - plan.since_tick) / seen.hz, 1) if plan.since_tick >= 0 else 0.0,
             "detail": plan.detail,
@@ -307,7 +308,7 @@ class Picture:
 def _fields(message: Message, *but: str) -> dict[str, Any]:
     """A message's fields as plain values; its own `kind` is called `what`."""
     values = {
-        name: value[:TEXT_CHARS] if isinstance(value, str) else value
+        name: str(value)[:TEXT_CHARS] if isinstance(value, str) else value
         for name in message.__struct_fields__
         if name not in but and (value := getattr(message, name)) is not None
     }

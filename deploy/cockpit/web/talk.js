@@ -101,25 +101,25 @@ function section(title, ...nodes) {
 
 /** A thought as a folded card: who decided, then everything that led to it. */
 function thoughtOf(note, open) {
-  const spans = (note.spans || []).filter(([, ms]) => ms > 0);
+  const spans = Object.entries(note.spans_ms).filter(([, ms]) => ms > 0);
   const total = spans.reduce((sum, [, ms]) => sum + ms, 0);
   const bar = make("div", { className: "spans", "aria-hidden": "true" }, ...spans.map(([, ms]) => { const i = make("i"); i.style.flexGrow = ms; return i; }));
   const legend = make("div", { className: "legend num" }, ...spans.map(([name, ms]) => make("span", { textContent: `${name} ${ms.toFixed(ms < 10 ? 1 : 0)} ms` })),
-    note.tokens ? make("span", { textContent: `${note.tokens[0]} tokens in, ${note.tokens[1]} out` }) : null);
+    note.prompt_tokens ? make("span", { textContent: `${note.prompt_tokens} tokens in, ${note.answer_tokens} out` }) : null);
   const pre = (words) => make("pre", { textContent: words });
   const none = (words) => make("p", { className: "empty", textContent: words });
   const body = make("div", {});
   if (spans.length) body.append(section("Time", bar, legend));
-  if (note.reading) body.append(section("The reader understood", pre(note.reading)));
-  if (note.memories?.length) {
-    body.append(section("Recalled, with its similarity", ...note.memories.map((m) => make("div", { className: "memory num" }, make("b", { textContent: m.similarity.toFixed(2) }), make("span", { textContent: `“${m.command}”` }), make("small", { textContent: [m.slots, m.outcome].filter(Boolean).join(" · ") })))));
+  if (note.reading) body.append(section("The intent parser understood", pre(note.reading)));
+  if (note.recalled.length) {
+    body.append(section("Recalled, with its similarity", ...note.recalled.map((m) => make("div", { className: "memory num" }, make("b", { textContent: m.similarity.toFixed(2) }), make("span", { textContent: `“${m.command}”` }), make("small", { textContent: [m.slots, m.outcome].filter(Boolean).join(" · ") })))));
   }
-  for (const message of note.prompt || []) body.append(section(`Prompt: ${message.role}`, pre(message.content)));
-  if (note.answers?.length) for (const [i, answer] of note.answers.entries()) body.append(section(i ? "Raw answer, once repaired" : "Raw answer", pre(answer)));
+  for (const message of note.prompt) body.append(section(`Prompt: ${message.role}`, pre(message.content)));
+  if (note.answers.length) for (const [i, answer] of note.answers.entries()) body.append(section(i ? "Raw answer, once repaired" : "Raw answer", pre(answer)));
   else body.append(section("Raw answer", none("The language model was not asked.")));
-  body.append(section("What the guards changed", note.guards?.length ? make("ul", {}, ...note.guards.map((g) => make("li", { className: "guard", textContent: g }))) : none("Nothing.")));
+  body.append(section("What the guards changed", note.guards.length ? make("ul", {}, ...note.guards.map((g) => make("li", { className: "guard", textContent: g }))) : none("Nothing.")));
   if (note.slots) body.append(section("Taken as", pre(note.slots)));
   return make("details", { className: "thought", id: `thought-${note.command_id}`, open },
-    make("summary", {}, make("q", { textContent: note.command }), make("span", { className: "tag", textContent: note.outcome, data: { is: note.outcome === "directive" ? "fulfilled" : "failed" } }),
+    make("summary", {}, make("q", { textContent: note.command }), make("span", { className: "tag", textContent: note.outcome, data: { is: note.outcome === "issued" ? "fulfilled" : "failed" } }),
       make("small", { className: "num", textContent: `${note.t.toFixed(1)} s · by ${note.source || "nobody"}${total ? ` · ${total.toFixed(0)} ms` : ""}${note.trimmed ? " · shortened" : ""}` })), body);
 }

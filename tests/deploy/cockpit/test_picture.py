@@ -10,7 +10,7 @@ import pytest
 
 from deploy.cockpit.picture import NOTES, SILENT_NS, Picture
 from schemas.runtime.clock import NS
-from schemas.wire.messages import Closure, Command, Lane, Reply, Status
+from schemas.wire.messages import Closure, Command, Lane, Reason, Reply, Status
 from tests.cockpit_scene import action, directive, event, seen
 
 
@@ -42,7 +42,7 @@ def test_the_answer_is_timed_from_the_observation_that_it_answers():
     assert picture_of(seen(), action()).frame(11 * NS)["action"]["answered_ms"] == 0.4
 
 
-CLOSED = Closure(action=3, rule="oncoming traffic", vehicle=4)
+CLOSED = Closure(action=3, rule=Reason.ONCOMING, vehicle=4)
 
 
 def test_a_directive_waits_for_the_rule_that_closes_its_side_now():
@@ -64,7 +64,7 @@ def test_a_directive_waits_no_longer_once_its_side_is_open_or_the_change_has_beg
 
 
 def test_a_wished_speed_waits_once_the_fast_node_has_said_so():
-    faster = Closure(action=2, rule="speed above the gap's", vehicle=2)
+    faster = Closure(action=2, rule=Reason.SPEED_FOR_GAP, vehicle=2)
     picture = picture_of(seen(), directive(manoeuvre="cruise", target_lane=None), action(faster))
     assert picture.frame(11 * NS)["directive"]["state"] == "active"
     for message in (event("delayed", rule=faster.rule), action(faster)):
