@@ -16,7 +16,7 @@ from schemas.runtime.clock import MonotonicClock, Schedule
 from schemas.runtime.process import Heartbeat, Trace, load_config, log, run_node
 from schemas.runtime.realtime import claim, may_poll
 from schemas.wire.messages import Action, MetaAction, Observation
-from schemas.wire.topics import ACTION, EVENT, OBSERVATION, STATUS
+from schemas.wire.topics import ACTION, CONTROL, EVENT, OBSERVATION, STATUS
 from sim_node.config import SimConfig
 from sim_node.node import SimNode
 
@@ -125,10 +125,31 @@ class RoundTrips:
 
 
 class Loop:
-    """The node, its round trips and the schedule, with the figures of the heartbeat."""
+    """The node, its round trips and the schedule, with the figures of the heartbeat and the orders from outside."""
 
     def __init__(self, bus: Bus, node: SimNode, trips: RoundTrips, schedule: Schedule) -> None:
         self._bus, self._node, self._trips, self._schedule = bus, node, trips, schedule
+        self._orders = bus.subscribe(CONTROL)
+        self._paused = False
+
+    def tick(self, due_ns: int) -> None:
+        """The tick that was due at `due_ns`, unless the world stands still: then no observation goes out, either."""
+        moves = not self._paused
+        for order in self._orders.take():
+            moves = order.do in ("resume", "step") or (moves and order.do == "restart")
+            if order.do != "restart":
+                self._paused = order.do != "resume"
+                continue
+            try:
+                self._node.restart(order.scenario, order.seed, time.monotonic_ns())
+            except ValueError as error:
+                log("sim", "order", str(error))
+            else:
+                self.publish(due_ns)
+                return
+        if moves:
+            self._node.advance(self._trips.newest, time.monotonic_ns())
+            self.publish(due_ns)
 
     def publish(self, due_ns: int) -> None:
         """Publish the current tick, which was due at `due_ns`."""
@@ -150,6 +171,7 @@ class Loop:
             "rtt_p50_us": float(p50), "rtt_p99_us": float(p99), "skipped": self._schedule.skipped,
             "episodes": m.episodes, "holds": m.holds, "failsafes": m.failsafes, "passed": m.passed,
             "reached": m.reached, "struck": m.struck, "min_ttc_s": m.min_ttc_s,
+            "paused": float(self._paused),
         }  # fmt: skip
 
 
@@ -189,9 +211,8 @@ def main() -> None:
                 while node.metrics.ticks + schedule.skipped < ticks:
                     due_ns = schedule.wait()
                     heart.begin()
-                    node.advance(trips.newest, time.monotonic_ns())
+                    loop.tick(due_ns)
                     heart.epoch = node.epoch
-                    loop.publish(due_ns)
                     heart.end()
                     if poll:
                         trips.poll()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from schemas.driving.measures import TTC_CAP_S
@@ -47,7 +48,20 @@ class SimNode:
     """The world between two messages. `step` never waits: what has not arrived is replaced by the fail-safe."""
 
     def __init__(self, config: SimConfig) -> None:
+        self._events: list[Event] = []
+        self.metrics = Metrics()
+        self.build(config)
+        self.epoch = 0
+        self.tick = 0
+        self.over = ""
+        """Why the episode has ended; empty while it runs."""
+        self._applied_tick = -1
+        self._unanswered = 0
+
+    def build(self, config: SimConfig) -> None:
+        """Take another road, or other traffic on it; the next `reset` begins there, with the configuration's seed."""
         self._config = config
+        self._first = self.metrics.episodes
         self._env = ScenarioEnv(
             config.scenario,
             hz=config.hz,
@@ -58,15 +72,21 @@ class SimNode:
             noise_mps=config.noise_mps,
             dropout=config.dropout,
         )
-        self._events: list[Event] = []
-        self.metrics = Metrics()
         self._recorder = Recorder(self._env.scenario, 1, config.hz)
-        self.epoch = 0
-        self.tick = 0
-        self.over = ""
-        """Why the episode has ended; empty while it runs."""
-        self._applied_tick = -1
-        self._unanswered = 0
+
+    def restart(self, scenario: str, seed: int | None, now_ns: int) -> None:
+        """Begin the next world at once, on another road ("": the same) with another seed (None: the same).
+
+        Raises ValueError if there is no such road or seed; then nothing has changed.
+        """
+        config = self._config
+        self.build(
+            msgspec.structs.replace(
+                config, scenario=scenario or config.scenario, seed=config.seed if seed is None else seed
+            )
+        )
+        self.reset(self.epoch + 1)
+        self.announce("as ordered", now_ns)
 
     @property
     def speed_mps(self) -> float:
@@ -80,7 +100,7 @@ class SimNode:
 
     def reset(self, epoch: int) -> None:
         """Begin the next episode as world `epoch`, at tick 0, with the next seed."""
-        self._env.reset(seed=self._config.seed + self.metrics.episodes)
+        self._env.reset(seed=self._config.seed + self.metrics.episodes - self._first)
         self.metrics.episodes += 1
         self.epoch, self.tick, self.over = epoch, 0, ""
         self._applied_tick, self._unanswered = -1, 0
@@ -89,7 +109,7 @@ class SimNode:
 
     def announce(self, why: str, now_ns: int) -> None:
         """Note the event that this world has begun, and why."""
-        detail = f"new world {why}, seed {self._config.seed + self.metrics.episodes - 1}"
+        detail = f"new world {why}, seed {self._config.seed + self.metrics.episodes - self._first - 1}"
         self._events.append(
             Event(epoch=self.epoch, stamp_ns=now_ns, kind=EventKind.WORLD, node="sim", tick=0, detail=detail)
         )

@@ -6,6 +6,7 @@ import math
 import secrets
 import time
 from collections.abc import Callable, Collection, Iterator
+from functools import cache
 from heapq import merge
 from typing import Any, Literal, Protocol
 
@@ -13,7 +14,7 @@ from schemas.runtime.bus import Bus
 from schemas.runtime.clock import NS
 from schemas.wire import topics
 from schemas.wire.codec import Fault, decode_command
-from schemas.wire.messages import Command, Message, Observation
+from schemas.wire.messages import Command, Control, Message, Observation, Status
 
 
 class Refused(Exception):  # noqa: N818 - a word to the passenger, not a mistake of ours
@@ -55,6 +56,7 @@ class BusSource:
     def __init__(self, bus: Bus, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
         self._bus, self._clock_ns = bus, clock_ns
         self.generation = 0
+        self._obeys = self._paused = False
         self._commands = bus.subscribe_bytes(topics.COMMAND)
         self._others = tuple(bus.subscribe(topic) for topic in topics.TOPICS if topic is not topics.COMMAND)
 
@@ -68,6 +70,10 @@ class BusSource:
                 continue
         for ring in self._others:
             messages += ring.take()
+        for message in messages:
+            if isinstance(message, Status) and message.node == "sim":
+                self._obeys = "paused" in message.figures
+                self._paused = bool(message.figures.get("paused"))
         return messages
 
     def now_ns(self) -> int:
@@ -83,10 +89,30 @@ class BusSource:
             raise Refused(f"This cannot be said: {error}.") from None
 
     def control(self, do: str, value: Any) -> None:
-        raise Refused("The running simulator takes no such order.")
+        if not self._obeys:
+            raise Refused("The running simulator takes no orders.")
+        order = {"scenario": "", "seed": None}
+        if do == "restart" and isinstance(value, dict):
+            order |= {name: value[name] for name in order if name in value}
+        known = order["scenario"] in ("", *_scenarios())
+        if do not in ("pause", "resume", "step", "restart") or not known or not _is_seed(order["seed"]):
+            raise Refused("The simulator takes no such order.")
+        self._bus.publish(topics.CONTROL, Control(epoch=0, stamp_ns=self._clock_ns(), do=do, **order))  # type: ignore[arg-type]
 
     def state(self) -> dict[str, Any]:
-        return {"kind": self.kind, "can": ["say"], "paused": False}
+        can = ["say", "pause", "step", "restart"] if self._obeys else ["say"]
+        return {"kind": self.kind, "can": can, "paused": self._paused, "scenarios": _scenarios() if self._obeys else []}
+
+
+def _is_seed(value: object) -> bool:
+    return value is None or (isinstance(value, int) and 0 <= value < 2**31)
+
+
+@cache
+def _scenarios() -> list[str]:
+    from sim_node.scenarios import SCENARIOS  # here: a recording needs nothing of it
+
+    return list(SCENARIOS)
 
 
 class Recorded(Protocol):

@@ -93,7 +93,8 @@ export class Panels {
     const [name, why] = SOURCES[action.source] || [action.source, ""];
     const braking = action.meta === 5;
     text($("source"), braking ? "Emergency brake" : name);
-    text($("why"), action.why || why);
+    const held = action.meta === HOLD && action.source === "policy" && action.p.some((p) => p > (action.p[HOLD] ?? 1));
+    text($("why"), action.why || (held ? "The set-points hold until the policy's next decision." : why));
     mark($("source"), "is", braking ? "fallback" : action.source);
   }
 

@@ -65,7 +65,7 @@ def test_a_page_of_another_origin_gets_no_connection(site, origin):
 
 
 def test_the_own_origin_gets_one(site):
-    assert "no such order" in site.answer({"seen": 1}, origin=HERE)
+    assert "takes no orders" in site.answer({"seen": 1}, origin=HERE)
 
 
 @pytest.mark.parametrize("path", ["/", "/app.js", "/style.css", "/missing.js"])

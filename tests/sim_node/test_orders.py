@@ -1,0 +1,118 @@
+"""Orders to the simulator: another road, other traffic, a world that stands still."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import pytest
+
+from schemas.runtime.bus import LocalBus
+from schemas.runtime.clock import ManualClock, Schedule
+from schemas.wire import topics
+from schemas.wire.messages import Control, Event, Status
+from sim_node import __main__ as shell
+from sim_node.config import SimConfig
+from sim_node.node import SimNode
+
+
+class NoTrips:
+    """Round trips of nobody."""
+
+    newest = None
+    put_ns = missed = 0
+    took_ns: deque[int] = deque()
+
+    def published(self, *_: object) -> None:
+        pass
+
+
+class World:
+    def __init__(self) -> None:
+        self.bus = LocalBus()
+        self.node = SimNode(SimConfig(scenario="highway", seed=3))
+        self.node.reset(1)
+        self.seen = self.bus.subscribe(topics.OBSERVATION)
+        self.events = self.bus.subscribe(topics.EVENT)
+        self.loop = shell.Loop(self.bus, self.node, NoTrips(), Schedule(ManualClock(), 15))  # type: ignore[arg-type]
+
+    def order(self, do: str, scenario: str = "", seed: int | None = None) -> None:
+        order = Control(epoch=0, stamp_ns=0, do=do, scenario=scenario, seed=seed)  # type: ignore[arg-type]
+        self.bus.publish(topics.CONTROL, order)
+
+    def ticks(self, count: int = 1) -> list[int]:
+        shown = []
+        for _ in range(count):
+            self.loop.tick(0)
+            shown += [observation.tick for observation in self.seen.take()]
+        return shown
+
+
+def test_a_paused_world_stands_still_says_so_and_goes_on_where_it_was() -> None:
+    world = World()
+    assert world.ticks(2) == [1, 2]
+    world.order("pause")
+    assert world.ticks(5) == []
+    world.order("resume")
+    assert world.ticks(2) == [3, 4]
+
+
+def test_the_heartbeat_says_whether_the_world_stands_still_and_can_be_sent() -> None:
+    world = World()
+    heartbeats = world.bus.subscribe(topics.STATUS)
+    world.order("pause")
+    world.ticks()
+    status = Status(epoch=1, stamp_ns=0, node="sim", pid=1, seq=1, state="ready", figures=world.loop.figures())
+    world.bus.publish(topics.STATUS, status)
+    [heard] = heartbeats.take()
+    assert heard.figures["paused"] == 1.0
+
+
+def test_a_step_is_one_tick_and_then_it_stands_still() -> None:
+    world = World()
+    world.order("step")
+    assert world.ticks(4) == [1]
+    world.order("step")
+    assert world.ticks(4) == [2]
+
+
+def test_a_restart_is_another_world_on_the_road_and_with_the_seed_that_were_ordered() -> None:
+    world = World()
+    world.ticks(3)
+    world.order("restart", "merge", 8)
+    world.loop.tick(0)
+    [shown] = world.seen.take()
+    [event] = world.events.take()
+    assert (shown.scenario, shown.tick, shown.epoch) == ("merge", 0, 2)
+    assert isinstance(event, Event)
+    assert event.detail == "new world as ordered, seed 8"
+    expected = SimNode(SimConfig(scenario="merge", seed=8))
+    expected.reset(2)
+    assert shown.rows == expected.observation(0).rows
+
+
+def test_a_restart_keeps_what_is_not_named_and_the_counts() -> None:
+    world = World()
+    world.ticks(3)
+    world.order("restart")
+    world.loop.tick(0)
+    [shown] = world.seen.take()
+    fresh = SimNode(SimConfig(scenario="highway", seed=3))
+    fresh.reset(2)
+    assert shown.rows == fresh.observation(0).rows
+    assert (world.node.metrics.ticks, world.node.metrics.episodes) == (3, 2)
+
+
+@pytest.mark.parametrize(("scenario", "seed"), [("moon", 1), ("merge", -1)])
+def test_an_order_that_makes_no_sense_changes_nothing(scenario: str, seed: int) -> None:
+    world = World()
+    world.ticks(2)
+    world.order("restart", scenario, seed)
+    assert world.ticks(2) == [3, 4]
+
+
+def test_a_restart_while_paused_shows_the_new_world_and_stands_still() -> None:
+    world = World()
+    world.order("pause")
+    world.ticks()
+    world.order("restart", "two-way", 1)
+    assert world.ticks(3) == [0]
