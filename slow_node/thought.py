@@ -76,7 +76,7 @@ def thought_of(
             Recalled(
                 command=cut(example.command, RECALLED_BYTES),
                 similarity=round(example.cosine, 3),
-                slots=cut(example.slots.compact(), RECALLED_BYTES),
+                slots=cut(_bare(example.slots), RECALLED_BYTES),
                 outcome=cut(example.outcome, RECALLED_BYTES),
             )
             for example in trace.nearest[:RECALLED]
@@ -84,12 +84,17 @@ def thought_of(
         prompt=tuple(Turn(role=turn["role"], content=cut(turn["content"], room)) for turn in turns),
         answers=tuple(cut(answer, ANSWER_BYTES) for answer in trace.answers[-ANSWERS:]),
         guards=tuple(cut(guard, NOTE_BYTES) for guard in trace.guards[:ANSWERS]),
-        slots="" if slots is None else cut(slots.compact(), SLOTS_BYTES),
+        slots="" if slots is None else cut(_bare(slots), SLOTS_BYTES),
         spans_ms={name: round(ms, 2) for name, ms in trace.spans_ms.items()},
         prompt_tokens=trace.prompt_tokens,
         answer_tokens=trace.answer_tokens,
         trimmed=cut.cut or len(turns) < len(trace.prompt),
     )
+
+
+def _bare(slots: Slots) -> str:
+    """What decides what the car does, without the words about it."""
+    return slots.model_copy(update={"reasoning": "", "say": ""}).compact()
 
 
 def _share(sizes: Sequence[int], total: int) -> int:

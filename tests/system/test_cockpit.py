@@ -183,3 +183,23 @@ def test_the_keys_open_help_and_change_the_theme(browser, system):
         assert page.get_attribute("html", "data-theme") != before
         page.keyboard.press("?")
         see(page, "dialog[open]", "Keys")
+
+
+def test_the_car_is_paused_stepped_and_sent_to_another_road(browser, system):
+    run = system("--scenario", "highway", "--seed", "3")
+    with page_on(browser, run.url) as page:
+        page.locator("#transport").wait_for(timeout=PATIENCE_MS)
+        page.keyboard.press("Space")
+        page.wait_for_selector("#link[data-is=paused]", timeout=PATIENCE_MS)
+        page.wait_for_timeout(1000)  # what was on its way has arrived
+        stood = int(page.inner_text("#clock").split()[1])
+        page.keyboard.press(".")
+        see(page, "#clock", f"tick {stood + 1} ")
+        page.select_option("#road-choice", "merge")
+        page.fill("#seed", "4")
+        page.click("#restart button")
+        see(page, "#scenario", "merge")
+        see(page, "#clock", "tick 0 ")
+        page.keyboard.press("Escape")
+        page.click("#pause")
+        page.wait_for_selector("#link[data-is=live]", timeout=PATIENCE_MS)

@@ -151,7 +151,7 @@ export class Panels {
     if (this.stage?.command === d.command_id && this.stage.last === last) stage = Math.max(stage, this.stage.at);
     this.stage = { command: d.command_id, at: stage, last };
     const waits = d.state === "delayed";
-    const names = passes ? ["understood", "makes ready", "moves out", "passes", "done"] : d.lane === null ? ["understood", "adjusts", "done"] : ["understood", "makes ready", "changes", "done"];
+    const names = passes ? ["understood", "prepares", "moves out", "passes", "done"] : d.lane === null ? ["understood", "adjusts", "done"] : ["understood", "prepares", "changes", "done"];
     if (over) names[last] = d.state;
     else if (waits) names[stage] = "waits";
     const list = box.querySelector(".steps");
