@@ -46,7 +46,7 @@ function receive(message) {
   }
   for (const note of message.notes) {
     talk.note(note);
-    if (note.what === "world") banner("info", note.detail || "new world", 4000);
+    if (note.what === "world" && message.frame.t - note.t < 5) banner("info", note.detail || "new world", 4000);
   }
   frame = message.frame;
   const rate = source.paused ? 0 : source.speed ?? 1;

@@ -378,8 +378,7 @@ export class Road {
     ctx.stroke();
     ctx.setLineDash([]);
     ctx.globalAlpha = 1;
-    const right = Math.min(b, this.w), text = `${near.gap.toFixed(0)} m`;
-    if (right - a > 60) this.pill(c, text, (a + right) / 2, y, colour === c.paint ? null : colour);
+    if (b < this.w && b - a > 60) this.pill(c, `${near.gap.toFixed(0)} m`, (a + b) / 2, y, colour === c.paint ? null : colour);
   }
 
   /** A small label, centred on x or beginning there; kept within the canvas. */

@@ -63,7 +63,7 @@ export class Strips {
     const rows = this.rows;
     const newest = rows.at(-1);
     const now = newest?.[chart.key];
-    const text = now === null || now === undefined ? "–" : `${now.toFixed(chart.digits)} ${chart.unit}`;
+    const text = now === null || now === undefined ? "–" : `${now.toFixed(chart.digits).replace(/^-(0\.?0*)$/, "$1")} ${chart.unit}`;
     if (value.textContent !== text) value.textContent = text;
     if (rows.length < 2) return;
     const [low, high] = chart.log ? chart.log.map(Math.log10) : [chart.low, chart.high(rows)];
