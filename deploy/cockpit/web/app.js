@@ -162,8 +162,11 @@ $("pause").addEventListener("click", pause);
 $("step").addEventListener("click", () => send({ do: "step" }));
 $("speed").addEventListener("change", () => send({ do: "speed", value: Number($("speed").value) }));
 let sought = 0;
-const seek = () => { clearTimeout(sought); sought = setTimeout(() => send({ do: "seek", value: Number($("seek").value) }), 120); };
-$("seek").addEventListener("input", seek);
+$("seek").addEventListener("input", () => {
+  const goal = Number($("seek").value);  // now: the next frame moves the slider to where the playhead is
+  clearTimeout(sought);
+  sought = setTimeout(() => send({ do: "seek", value: goal }), 120);
+});
 $("restart").addEventListener("submit", (event) => {
   event.preventDefault();
   send({ do: "restart", value: { scenario: $("road-choice").value, seed: Number($("seed").value) } });
