@@ -26,7 +26,7 @@ def run(
             help="What road to drive on: highway, merge, two-way, merge-main, roadworks; highway-, merge- or "
             "two-way-natural."
         ),
-    ] = "two-way",
+    ] = "two-way-natural",
     seed: Annotated[int, typer.Option(min=0, help="Which traffic there is on it.")] = 0,
     density: Annotated[float, typer.Option(min=0.2, max=3.0, help="Times the usual density of traffic.")] = 1.0,
     noise_m: Annotated[float, typer.Option(min=0.0, help="Error of perceived positions, standard deviation.")] = 0.0,

@@ -61,7 +61,7 @@ class Model:
 class RunOptions:
     """What the passenger may choose about a run."""
 
-    scenario: str = "two-way"
+    scenario: str = "two-way-natural"
     seed: int = 0
     density: float = 1.0
     noise_m: float = 0.0

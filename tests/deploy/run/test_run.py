@@ -302,7 +302,7 @@ def test_the_table_says_who_matters() -> None:
     table = {p.name: p for p in process_table(RunOptions(duration_s=4.0), model, Path("/tmp/s"))}
     assert [p.name for p in table.values() if p.critical] == ["fast", "sim"]
     config = json.loads(table["sim"].argv[-1])
-    assert (config["scenario"], config["duration_s"]) == ("two-way", 4.0)
+    assert (config["scenario"], config["duration_s"]) == ("two-way-natural", 4.0)
     assert "unixsock-stream//tmp/s/bus.sock" in config["bus"]["connect"]
     cloud = Model(base_url="https://x/v1", name="x", embedded=False)
     names = [p.name for p in process_table(RunOptions(without=("fast",)), cloud, Path("/tmp/s"))]
