@@ -325,10 +325,11 @@ class McapFile:
             *contents.metadata_indexes,
         ):
             record.write(out)
-        data = out.end()
+        data: bytes = out.end()
         crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, start, 0), zlib.crc32(data[before:]))
         Footer(summary_start=start, summary_offset_start=0, summary_crc=crc).write(out)
-        return data + out.end() + MAGIC
+        footer: bytes = out.end()
+        return data + footer + MAGIC
 
     def _append(self, data: bytes) -> None:
         """All of it or nothing."""

@@ -52,7 +52,8 @@ def _plain(message: Message) -> bytes:
     encoded = msgspec.json.encode(message)
     if b"null" not in encoded:  # msgspec's word for infinity, too
         return encoded
-    fields, nonfinite = msgspec.to_builtins(message), {}
+    fields = msgspec.to_builtins(message)
+    nonfinite: dict[str, str] = {}
     _leave_out(fields, "", nonfinite)
     if nonfinite:
         fields["nonfinite"] = nonfinite

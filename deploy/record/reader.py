@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from pathlib import Path
+from typing import Any
 
 from deploy.record.container import Contents, NotARecordingError, messages_of, scan
 from deploy.record.encoding import from_json
 from schemas.wire.messages import Message
-from schemas.wire.topics import TOPICS
+from schemas.wire.topics import TOPICS, Topic
 
 METADATA = "fastslow"
 """Name of the metadata record that says what was run."""
-_TYPES = {f"/{topic.name}": topic for topic in TOPICS}
+_TYPES: dict[str, Topic[Any]] = {f"/{topic.name}": topic for topic in TOPICS}
 
 
 class Recording:

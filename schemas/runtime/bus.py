@@ -19,7 +19,7 @@ from msgspec import Struct
 
 from schemas.wire.codec import Fault, decode, encode
 from schemas.wire.messages import Message
-from schemas.wire.topics import Topic
+from schemas.wire.topics import PREFIX, Topic
 
 M = TypeVar("M", bound=Message)
 T = TypeVar("T")
@@ -178,6 +178,28 @@ class _ZenohBytes:
         return self._newest
 
 
+class Arrivals:
+    """Everything that is published on our topics, in one ring, in the order of its arrival."""
+
+    def __init__(self, subscriber: Any) -> None:
+        self._handler = subscriber.handler
+
+    def wait(self) -> tuple[str, bytes]:
+        """The next (topic's name, payload), blocking until there is one. Signal handlers run meanwhile."""
+        return self._named(self._handler.recv())
+
+    def take(self) -> list[tuple[str, bytes]]:
+        """All that have arrived since the last call, oldest first. Never waits."""
+        taken: list[tuple[str, bytes]] = []
+        while (sample := self._handler.try_recv()) is not None:
+            taken.append(self._named(sample))
+        return taken
+
+    @staticmethod
+    def _named(sample: Any) -> tuple[str, bytes]:
+        return str(sample.key_expr).rpartition("/")[2], sample.payload.to_bytes()
+
+
 class ZenohBus:
     """A zenoh session with our topics on it. Open it with `open_bus`."""
 
@@ -238,6 +260,12 @@ class ZenohBus:
 
     def subscribe_bytes(self, topic: Topic[Any]) -> Subscription[bytes]:
         return self._ring_on(topic.key, topic.depth)
+
+    def subscribe_all(self, depth: int) -> Arrivals:
+        """Every topic at once, for a recorder. `depth`: how many messages wait in the ring; the newest win."""
+        subscriber = self._session.declare_subscriber(f"{PREFIX}/*", self._ring(depth))
+        self._subscribers.append(subscriber)
+        return Arrivals(subscriber)
 
     def _ring_on(self, key: str, depth: int) -> _ZenohBytes:
         subscriber = self._session.declare_subscriber(key, self._ring(depth))

@@ -1,0 +1,144 @@
+"""The recorder: what arrives on the bus, stamped, goes into the run's file; older runs make room for it."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import platform
+import time
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from deploy.record.container import McapFile
+from deploy.record.encoding import json_schema, to_json
+from deploy.record.reader import METADATA
+from deploy.record.scene import CHANNELS, SCHEMAS, Scene
+from fast_node.mask.vocabulary import VERSION as MASK_VERSION
+from schemas.runtime.clock import NS
+from schemas.runtime.process import revision
+from schemas.wire.codec import Fault, decode, decode_command
+from schemas.wire.messages import SCHEMA_VERSION, Message, Observation
+from schemas.wire.topics import COMMAND, TOPICS, Topic
+
+FILE_NAME = "recording.mcap"
+"""In each run's folder."""
+CHUNK_NS = NS
+"""A chunk a second: what a killed recorder loses at most."""
+_TOPICS: dict[str, Topic[Any]] = {topic.name: topic for topic in TOPICS}
+_LATEST_NS = 2**64 - 1
+
+
+class FullError(Exception):
+    """The recording has become as large as it may."""
+
+
+class Recorder:
+    """Puts messages into a file. What fails with `OSError` or `FullError` ends the recording; the file stays good."""
+
+    def __init__(self, file: McapFile, about: dict[str, str], max_bytes: int) -> None:
+        """`about`: metadata of a new file; of one that is continued its own, and its clock, count."""
+        self._file, self._max_bytes = file, max_bytes
+        if METADATA not in file.metadata:
+            offset = time.time_ns() - time.monotonic_ns()
+            file.add_metadata(METADATA, {**about, "clock_offset_ns": str(offset)})
+        self._offset_ns = int(file.metadata[METADATA]["clock_offset_ns"])
+        self._channels = {
+            topic.name: file.channel(f"/{topic.name}", f"fastslow.{topic.type.__name__}", json_schema(topic.type))
+            for topic in TOPICS
+        } | {name: file.channel(name, kind, SCHEMAS[kind]) for name, kind in CHANNELS.items()}
+        self._scene = Scene()
+        self._epoch = 0
+        self._cut_ns = 0
+        self.figures = {"messages": 0.0, "refused": 0.0, "mb": 0.0}
+
+    def arrived(self, name: str, payload: bytes, now_ns: int) -> None:
+        """A payload of topic `name` came at `now_ns` of CLOCK_MONOTONIC."""
+        message = self._message(name, payload, now_ns)
+        if message is None:
+            self.figures["refused"] += 1
+        else:
+            log_time = now_ns + self._offset_ns
+            sent = min(max(message.stamp_ns + self._offset_ns, 0), _LATEST_NS)
+            self._file.add(self._channels[name], log_time, sent, to_json(message))
+            if isinstance(message, Observation):
+                self._epoch = message.epoch
+                for topic, drawn in self._scene.draw(message, sent):
+                    self._file.add(self._channels[topic], log_time, sent, drawn)
+            self.figures["messages"] += 1
+        if now_ns - self._cut_ns >= CHUNK_NS:
+            self._cut_ns = now_ns
+            self._file.cut()
+            self.figures["mb"] = self._file.size / 1e6
+            if self._file.size > self._max_bytes:
+                raise FullError(f"it has reached {self._max_bytes / 1e6:.0f} MB")
+
+    def _message(self, name: str, payload: bytes, now_ns: int) -> Message | None:
+        topic = _TOPICS.get(name)
+        if topic is None:
+            return None
+        try:
+            message: Message = decode(topic, payload)
+            return message
+        except Fault:
+            if topic is not COMMAND:
+                return None
+        try:  # plain text
+            return decode_command(payload, fallback_id=now_ns // 1000, epoch=self._epoch, now_ns=now_ns)
+        except Fault:
+            return None
+
+
+def describe(about: dict[str, str], checkpoint: Path) -> dict[str, str]:
+    """The metadata of a run: what it was told, and what it ran with."""
+    try:
+        ours = version("fastslow")
+    except PackageNotFoundError:
+        ours = "not installed"
+    try:
+        with checkpoint.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        digest = ""
+    return {
+        **about,
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "fastslow": ours,
+        "protocol": SCHEMA_VERSION,
+        "mask": MASK_VERSION,
+        "checkpoint": str(checkpoint),
+        "checkpoint_sha256": digest,
+        "revision": revision() or "",
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+    }
+
+
+def prune(folder: Path, max_bytes: int) -> list[Path]:
+    """Remove the recordings of the oldest runs in `folder` until all take at most `max_bytes`; returns which.
+
+    One that is being written is left alone.
+    """
+    found = sorted(
+        (stat.st_mtime, stat.st_size, path) for path in folder.glob(f"*/{FILE_NAME}") if (stat := path.stat())
+    )
+    total, removed = sum(size for _, size, _ in found), []
+    for _, size, path in found:
+        if total <= max_bytes:
+            break
+        with contextlib.suppress(OSError), path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.unlink()
+            total -= size
+            removed.append(path)
+    return removed
+
+
+def options_as_text(options: dict[str, object]) -> dict[str, str]:
+    """Metadata is text: what is not, as JSON."""
+    return {
+        name: value if isinstance(value, str) else json.dumps(value, default=str) for name, value in options.items()
+    }
