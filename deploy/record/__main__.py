@@ -71,8 +71,8 @@ def main() -> None:
                 bus.publish(EVENT, Event(epoch=0, stamp_ns=now_ns, kind="fault", node=NAME, tick=-1, detail=said))
             except Stopped:
                 with suppress(OSError, FullError):
-                    for name, payload in arrivals.take():
-                        recorder.arrived(name, payload, time.monotonic_ns())
+                    for arrival in arrivals.take():
+                        recorder.arrived(arrival, time.monotonic_ns())
                 raise
             finally:
                 with suppress(OSError):
@@ -85,9 +85,9 @@ def record(recorder: Recorder, arrivals: Arrivals, folder: Path | None, max_byte
     """Until it fails or a signal comes; makes room among the runs in `folder` now and then."""
     prune_ns = 0
     while True:
-        name, payload = arrivals.wait()
+        arrival = arrivals.wait()
         now_ns = time.monotonic_ns()
-        recorder.arrived(name, payload, now_ns)
+        recorder.arrived(arrival, now_ns)
         if folder is not None and now_ns - prune_ns > PRUNE_EVERY_NS:
             prune_ns = now_ns
             for old in prune(folder, max_bytes):

@@ -18,6 +18,7 @@ from deploy.record.encoding import json_schema, to_json
 from deploy.record.reader import METADATA
 from deploy.record.scene import CHANNELS, SCHEMAS, Scene
 from fast_node.mask.vocabulary import VERSION as MASK_VERSION
+from schemas.runtime.bus import Arrival
 from schemas.runtime.clock import NS
 from schemas.runtime.process import revision
 from schemas.wire.codec import Fault, decode, decode_command
@@ -53,28 +54,40 @@ class Recorder:
         self._scene = Scene()
         self._epoch = 0
         self._cut_ns = 0
+        self._log_ns = 0
         self.figures = {"messages": 0.0, "refused": 0.0, "mb": 0.0}
 
-    def arrived(self, name: str, payload: bytes, now_ns: int) -> None:
-        """A payload of topic `name` came at `now_ns` of CLOCK_MONOTONIC."""
-        message = self._message(name, payload, now_ns)
+    def arrived(self, arrival: Arrival, now_ns: int) -> None:
+        """Keep what came, and was seen by us at `now_ns` of CLOCK_MONOTONIC."""
+        message = self._message(arrival.topic, arrival.payload, now_ns)
         if message is None:
             self.figures["refused"] += 1
         else:
-            log_time = now_ns + self._offset_ns
-            sent = min(max(message.stamp_ns + self._offset_ns, 0), _LATEST_NS)
-            self._file.add(self._channels[name], log_time, sent, to_json(message))
-            if isinstance(message, Observation):
-                self._epoch = message.epoch
-                for topic, drawn in self._scene.draw(message, sent):
-                    self._file.add(self._channels[topic], log_time, sent, drawn)
-            self.figures["messages"] += 1
+            self._keep(arrival.topic, message, self._log_time(arrival.routed_ns, message.stamp_ns, now_ns))
         if now_ns - self._cut_ns >= CHUNK_NS:
             self._cut_ns = now_ns
             self._file.cut()
             self.figures["mb"] = self._file.size / 1e6
             if self._file.size > self._max_bytes:
                 raise FullError(f"it has reached {self._max_bytes / 1e6:.0f} MB")
+
+    def _log_time(self, routed_ns: int, stamp_ns: int, now_ns: int) -> int:
+        """When it passed the router, who is prompt and whose clock may be set; not when the idle class let us see it.
+
+        In any case not before it was sent, not after we saw it, and never going back.
+        """
+        arrived_ns = max(routed_ns - self._offset_ns, stamp_ns) if routed_ns else now_ns
+        self._log_ns = max(self._log_ns, min(arrived_ns, now_ns) + self._offset_ns)
+        return self._log_ns
+
+    def _keep(self, topic: str, message: Message, log_time: int) -> None:
+        sent = min(max(message.stamp_ns + self._offset_ns, 0), _LATEST_NS)
+        self._file.add(self._channels[topic], log_time, sent, to_json(message))
+        self.figures["messages"] += 1
+        if isinstance(message, Observation):
+            self._epoch = message.epoch
+            for drawn_topic, drawn in self._scene.draw(message, sent):
+                self._file.add(self._channels[drawn_topic], log_time, sent, drawn)
 
     def _message(self, name: str, payload: bytes, now_ns: int) -> Message | None:
         topic = _TOPICS.get(name)

@@ -13,10 +13,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from msgspec import Struct
 
+from schemas.runtime.clock import NS
 from schemas.wire.codec import Fault, decode, encode
 from schemas.wire.messages import Message
 from schemas.wire.topics import PREFIX, Topic
@@ -178,26 +180,40 @@ class _ZenohBytes:
         return self._newest
 
 
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """One payload, as it came through the router."""
+
+    topic: str
+    """Its topic's name."""
+    payload: bytes
+    routed_ns: int
+    """When the router passed it on, in ns of its wall clock since 1970; 0 if it did not say."""
+
+
 class Arrivals:
     """Everything that is published on our topics, in one ring, in the order of its arrival."""
 
     def __init__(self, subscriber: Any) -> None:
         self._handler = subscriber.handler
 
-    def wait(self) -> tuple[str, bytes]:
-        """The next (topic's name, payload), blocking until there is one. Signal handlers run meanwhile."""
-        return self._named(self._handler.recv())
+    def wait(self) -> Arrival:
+        """The next one, blocking until there is one. Signal handlers run meanwhile, and may raise."""
+        return self._arrival(self._handler.recv())
 
-    def take(self) -> list[tuple[str, bytes]]:
-        """All that have arrived since the last call, oldest first. Never waits."""
-        taken: list[tuple[str, bytes]] = []
+    def take(self) -> list[Arrival]:
+        """All that have come since the last call, oldest first. Never waits."""
+        taken: list[Arrival] = []
         while (sample := self._handler.try_recv()) is not None:
-            taken.append(self._named(sample))
+            taken.append(self._arrival(sample))
         return taken
 
     @staticmethod
-    def _named(sample: Any) -> tuple[str, bytes]:
-        return str(sample.key_expr).rpartition("/")[2], sample.payload.to_bytes()
+    def _arrival(sample: Any) -> Arrival:
+        stamp = sample.timestamp
+        ntp = stamp.get_time_as_ntp64() if stamp is not None else 0  # seconds in the upper half, their share below
+        routed_ns = (ntp >> 32) * NS + ((ntp & 0xFFFFFFFF) * NS >> 32)
+        return Arrival(str(sample.key_expr).rpartition("/")[2], sample.payload.to_bytes(), routed_ns)
 
 
 class ZenohBus:
