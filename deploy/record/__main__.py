@@ -23,6 +23,8 @@ from schemas.wire.topics import EVENT, STATUS
 NAME = "record"
 PENDING = 8192
 """Messages that wait for the recorder: more than a minute's."""
+NICE = 10
+"""Of its session, against the others: a hundredth of a busy core is enough for it, and less would lose messages."""
 PRUNE_EVERY_NS = 30 * 10**9
 
 
@@ -54,7 +56,7 @@ def main() -> None:
         raise ConfigError(f"cannot record to {config.path}: {error}") from None
     with open_bus(config.bus) as bus:
         arrivals = bus.subscribe_all(PENDING)
-        scheduling = yield_to_others()
+        scheduling = yield_to_others(NICE)
         for topic in (EVENT, STATUS):
             bus.announce(topic)
         recorder = Recorder(file, describe(config.about, Path(config.policy) if config.policy else SHIPPED), max_bytes)

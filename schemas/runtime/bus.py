@@ -18,7 +18,6 @@ from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from msgspec import Struct
 
-from schemas.runtime.clock import NS
 from schemas.wire.codec import Fault, decode, encode
 from schemas.wire.messages import Message
 from schemas.wire.topics import PREFIX, Topic
@@ -211,8 +210,7 @@ class Arrivals:
     @staticmethod
     def _arrival(sample: Any) -> Arrival:
         stamp = sample.timestamp
-        ntp = stamp.get_time_as_ntp64() if stamp is not None else 0  # seconds in the upper half, their share below
-        routed_ns = (ntp >> 32) * NS + ((ntp & 0xFFFFFFFF) * NS >> 32)
+        routed_ns: int = stamp.get_time_as_ntp64().as_nanos() if stamp is not None else 0
         return Arrival(str(sample.key_expr).rpartition("/")[2], sample.payload.to_bytes(), routed_ns)
 
 
@@ -307,6 +305,9 @@ def zenoh_settings(config: BusConfig) -> dict[str, object]:
     if config.low_latency:
         settings["transport/unicast/qos/enabled"] = False
         settings["transport/unicast/lowlatency"] = True
+    if config.mode == "router":
+        # Batches of 64 KB, made when needed: whoever reads at a low priority may be late without losing a message.
+        settings["transport/link/tx/queue/size/data"] = 16
     if config.mode != "client":
         settings["connect/timeout_ms"] = -1  # keep trying, in the background
         settings["connect/exit_on_failure"] = False

@@ -1,0 +1,183 @@
+"""Process replay: recorded inputs into fresh nodes, and every decision compared with the recorded one, bit for bit."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+
+from deploy.replay.tape import Answered, Tape, World
+from fast_node.config import FastConfig
+from fast_node.node import FastNode
+from schemas.wire.messages import Action, Event, Message, MetaAction
+from sim_node.config import SimConfig
+from sim_node.node import SimNode
+
+NodeFactory = Callable[[], FastNode]
+_TIMING = ("stamp_ns", "compute_ns")
+"""Of an action: how long it took, not what it is."""
+
+
+@dataclass
+class Comparison:
+    """How many of the recorded messages of one kind came out again."""
+
+    checked: int = 0
+    identical: int = 0
+    unchecked: int = 0
+    """Their inputs are not in the recording."""
+    first_difference: dict[str, Any] | None = None
+
+    def compare(self, epoch: int, tick: int, recorded: dict[str, Any], again: dict[str, Any]) -> None:
+        """Count one; of the first that differs, keep the fields that do."""
+        self.checked += 1
+        if recorded == again:
+            self.identical += 1
+        elif self.first_difference is None:
+            names = [name for name in recorded | again if recorded.get(name) != again.get(name)]
+            self.first_difference = {
+                "epoch": epoch,
+                "tick": tick,
+                "recorded": {name: recorded.get(name) for name in names},
+                "again": {name: again.get(name) for name in names},
+            }
+
+    @property
+    def share(self) -> float:
+        """Of those checked; 1 where there was nothing to check."""
+        return self.identical / self.checked if self.checked else 1.0
+
+
+def fields_of(message: Message, without: tuple[str, ...] = ()) -> dict[str, Any]:
+    """A message as plain data; its rows as bytes."""
+    fields: dict[str, Any] = msgspec.to_builtins(message, builtin_types=(bytes,))
+    return {name: value for name, value in fields.items() if name not in without}
+
+
+def check_fast(tape: Tape, node_of: NodeFactory) -> tuple[Comparison, Comparison]:
+    """Actions, and events about directives, of the recorded steps taken again by fresh nodes."""
+    actions, events = Comparison(), Comparison()
+    said: list[Event] = []
+    node = node_of()
+    for step in tape.answered():
+        if isinstance(step, Action):
+            actions.unchecked += 1
+            continue
+        if step.fresh:
+            node = node_of()
+        action, news = node.step(step.observation, step.directive, step.arrived_ns)
+        said += news
+        recorded = step.action
+        actions.compare(recorded.epoch, recorded.answers_tick, fields_of(recorded, _TIMING), fields_of(action, _TIMING))
+    again = {(event.stamp_ns, event.kind, event.detail): event for event in said}
+    for event in tape.events:
+        twin = again.get((event.stamp_ns, event.kind, event.detail))
+        events.compare(event.epoch, event.tick, fields_of(event), fields_of(twin) if twin else {})
+    return actions, events
+
+
+def check_world(tape: Tape, config: SimConfig) -> Comparison:
+    """Observations of the recorded actions, driven again in the same traffic from the run's seed.
+
+    Which action a tick applied stands in its observation. A world of which ticks are missing is driven as far as the
+    gap; one that began before the recording did is not driven at all.
+    """
+    observations = Comparison()
+    answers = {(action.epoch, action.answers_tick): action for action in tape.actions}
+    node = SimNode(config)
+    epoch = None
+    for world in tape.worlds():
+        first = world[0]
+        if epoch is None or first.epoch != epoch + 1:  # a new process: the run's seed again
+            node = SimNode(config)
+            node.reset(first.epoch)
+        elif not node.over:  # the world before was not seen to its end, so that its end is not known
+            observations.unchecked += len(world)
+            continue
+        else:
+            node.advance(None, 0)
+        epoch = first.epoch
+        done = _drive(node, world, answers, observations)
+        observations.unchecked += len(world) - done
+    return observations
+
+
+def _drive(node: SimNode, world: World, answers: dict[tuple[int, int], Action], found: Comparison) -> int:
+    """Compare one world from tick 0; returns how many ticks were compared."""
+    applied = -1
+    for tick, recorded in enumerate(world):
+        if recorded.tick != tick:
+            return tick
+        if tick:
+            action = None
+            if recorded.applied_tick != applied:
+                action = answers.get((recorded.epoch, recorded.applied_tick))
+                if action is None:
+                    return tick
+            applied = recorded.applied_tick
+            node.advance(action, 0)
+        again = node.observation(recorded.stamp_ns)
+        found.compare(recorded.epoch, tick, fields_of(recorded), fields_of(again))
+    return len(world)
+
+
+@dataclass
+class Disagreement:
+    """Where another driver would have decided otherwise, tick by tick on the recorded road."""
+
+    ticks: int = 0
+    otherwise: int = 0
+    table: Counter[tuple[str, str]] = field(default_factory=Counter)
+    """(recorded, other) actions, where they differ."""
+    first: list[dict[str, Any]] = field(default_factory=list)
+    """The first of them."""
+
+    KEPT = 10
+
+    def add(self, step: Answered, other: Action) -> None:
+        self.ticks += 1
+        if other.meta_action == step.action.meta_action:
+            return
+        self.otherwise += 1
+        pair = MetaAction(step.action.meta_action).name, MetaAction(other.meta_action).name
+        self.table[pair] += 1
+        if len(self.first) < self.KEPT:
+            self.first.append(
+                {
+                    "epoch": step.action.epoch,
+                    "tick": step.action.answers_tick,
+                    "recorded": pair[0],
+                    "other": pair[1],
+                    "recorded_by": step.action.source,
+                    "other_by": other.source,
+                }
+            )
+
+
+def compare_driver(tape: Tape, node_of: NodeFactory) -> Disagreement:
+    """What another driver makes of the same observations and directives. Its own actions are without consequence."""
+    found = Disagreement()
+    node = node_of()
+    for step in tape.answered():
+        if isinstance(step, Action):
+            continue
+        if step.fresh:
+            node = node_of()
+        found.add(step, node.step(step.observation, step.directive, step.arrived_ns)[0])
+    return found
+
+
+def fast_config(told: dict[str, Any]) -> FastConfig:
+    """The fast node's configuration from a recording's metadata."""
+    return msgspec.convert(
+        {name: told[name] for name in ("budget_ms", "decision_ticks", "default_headway_s") if name in told}, FastConfig
+    )
+
+
+def sim_config(told: dict[str, Any]) -> SimConfig:
+    """The simulator's configuration from a recording's metadata."""
+    names = ("scenario", "seed", "hz", "density", "noise_m", "noise_mps", "dropout")
+    return msgspec.convert({name: told[name] for name in names if name in told}, SimConfig)

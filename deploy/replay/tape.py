@@ -1,0 +1,96 @@
+"""A recording in the order in which each node lived through it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+from deploy.record.reader import Recording
+from schemas.wire.messages import Action, Directive, Event, Observation, Status
+
+World = list[Observation]
+"""One epoch, tick by tick."""
+
+
+@dataclass(frozen=True)
+class Answered:
+    """One step of the fast node."""
+
+    observation: Observation
+    directive: Directive | None
+    action: Action
+    arrived_ns: int
+    """CLOCK_MONOTONIC when the observation was in its hands."""
+    fresh: bool
+    """The first step of a process."""
+
+
+@dataclass
+class Tape:
+    """What was said in a run, by kind."""
+
+    observations: dict[tuple[int, int], Observation] = field(default_factory=dict)
+    """By epoch and tick."""
+    actions: list[Action] = field(default_factory=list)
+    """In the order of their sending."""
+    directives: dict[int, Directive] = field(default_factory=dict)
+    events: list[Event] = field(default_factory=list)
+    """The fast node's, about directives."""
+    heartbeats: list[Status] = field(default_factory=list)
+    """The fast node's."""
+
+    @classmethod
+    def of(cls, recording: Recording) -> Tape:
+        """Read a recording once, from its beginning to its end."""
+        tape = cls()
+        for _, _, message in recording.messages({"observation", "action", "directive", "event", "status"}):
+            match message:
+                case Observation():
+                    tape.observations[message.epoch, message.tick] = message
+                case Action():
+                    tape.actions.append(message)
+                case Directive():
+                    tape.directives[message.id] = message
+                case Event(node="fast"):
+                    tape.events.append(message)
+                case Status(node="fast"):
+                    tape.heartbeats.append(message)
+        tape.actions.sort(key=lambda action: action.stamp_ns)
+        return tape
+
+    def worlds(self) -> list[World]:
+        """The epochs, each from its first recorded tick."""
+        found: dict[int, World] = {}
+        for epoch, tick in sorted(self.observations):
+            found.setdefault(epoch, []).append(self.observations[epoch, tick])
+        return list(found.values())
+
+    def answered(self) -> Iterator[Answered | Action]:
+        """Every step of the fast node that can be taken again; an action alone where its inputs are not recorded."""
+        fresh_at = self._starts()
+        fresh = True
+        for number, action in enumerate(self.actions):
+            fresh = fresh or number in fresh_at
+            observation = self.observations.get((action.epoch, action.answers_tick))
+            directive = self.directives.get(action.directive_id) if action.directive_id is not None else None
+            if observation is None or (directive is None) != (action.directive_id is None):
+                yield action
+                continue
+            yield Answered(observation, directive, action, action.stamp_ns - action.compute_ns, fresh)
+            fresh = False
+
+    def _starts(self) -> set[int]:
+        """Numbers of the actions that a new process sent first.
+
+        A heartbeat tells of it only after some actions. But a process that has died is not back before some ticks have
+        gone unanswered: its first action is the one after the longest silence between the heartbeats of the two.
+        """
+        starts = set()
+        for old, new in pairwise(self.heartbeats):
+            if old.pid == new.pid:
+                continue
+            between = [n for n, a in enumerate(self.actions) if n and old.stamp_ns <= a.stamp_ns <= new.stamp_ns]
+            if between:
+                starts.add(max(between, key=lambda n: self.actions[n].stamp_ns - self.actions[n - 1].stamp_ns))
+        return starts
