@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import hashlib
-import json
 import platform
 import time
 from datetime import UTC, datetime
@@ -17,6 +16,7 @@ from deploy.record.container import McapFile
 from deploy.record.encoding import json_schema, to_json
 from deploy.record.reader import METADATA
 from deploy.record.scene import CHANNELS, SCHEMAS, Scene
+from deploy.run.processes import RECORDING
 from fast_node.mask.vocabulary import VERSION as MASK_VERSION
 from schemas.runtime.bus import Arrival
 from schemas.runtime.clock import NS
@@ -25,8 +25,6 @@ from schemas.wire.codec import Fault, decode, decode_command
 from schemas.wire.messages import SCHEMA_VERSION, Message, Observation
 from schemas.wire.topics import COMMAND, TOPICS, Topic
 
-FILE_NAME = "recording.mcap"
-"""In each run's folder."""
 CHUNK_NS = NS
 """A chunk a second: what a killed recorder loses at most."""
 _TOPICS: dict[str, Topic[Any]] = {topic.name: topic for topic in TOPICS}
@@ -55,7 +53,7 @@ class Recorder:
         self._epoch = 0
         self._cut_ns = 0
         self._log_ns = 0
-        self.figures = {"messages": 0.0, "refused": 0.0, "mb": 0.0}
+        self.figures = {"messages": 0.0, "refused": 0.0, "mb": 0.0, "cpu_s": 0.0}
 
     def arrived(self, arrival: Arrival, now_ns: int) -> None:
         """Keep what came, and was seen by us at `now_ns` of CLOCK_MONOTONIC."""
@@ -68,6 +66,7 @@ class Recorder:
             self._cut_ns = now_ns
             self._file.cut()
             self.figures["mb"] = self._file.size / 1e6
+            self.figures["cpu_s"] = time.process_time()
             if self._file.size > self._max_bytes:
                 raise FullError(f"it has reached {self._max_bytes / 1e6:.0f} MB")
 
@@ -136,7 +135,7 @@ def prune(folder: Path, max_bytes: int) -> list[Path]:
     One that is being written is left alone.
     """
     found = sorted(
-        (stat.st_mtime, stat.st_size, path) for path in folder.glob(f"*/{FILE_NAME}") if (stat := path.stat())
+        (stat.st_mtime, stat.st_size, path) for path in folder.glob(f"*/{RECORDING}") if (stat := path.stat())
     )
     total, removed = sum(size for _, size, _ in found), []
     for _, size, path in found:
@@ -148,10 +147,3 @@ def prune(folder: Path, max_bytes: int) -> list[Path]:
             total -= size
             removed.append(path)
     return removed
-
-
-def options_as_text(options: dict[str, object]) -> dict[str, str]:
-    """Metadata is text: what is not, as JSON."""
-    return {
-        name: value if isinstance(value, str) else json.dumps(value, default=str) for name, value in options.items()
-    }

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shlex
 import socket
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +19,7 @@ from slow_node.llm.embedded import own_weights
 
 TCP_HOST = "127.0.0.1"
 DEFAULT_PORT = 7447
-NAMES = ("sim", "fast", "slow", "llm")
+NAMES = ("sim", "fast", "slow", "llm", "record")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +44,10 @@ class Process:
 
 
 NEEDS_WAIT_S = 3.0
-SHUTDOWN_ORDER = ("slow", "fast", "sim", "llm")
-"""Who thinks stops first; the car is driven until the road itself ends."""
+SHUTDOWN_ORDER = ("slow", "fast", "sim", "llm", "record")
+"""Who thinks stops first; the car is driven until the road itself ends; all of it is recorded."""
+RECORDING = "recording.mcap"
+"""In the run's folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +86,10 @@ class RunOptions:
     """A folder for the stamps of every tick of sim and fast."""
     cockpit_port: int | None = None
     """Where the page is served that shows the run, on loopback; None: there is none; 0: any free port."""
+    record: Path | None = None
+    """Where the recording goes; None: `RECORDING` in the run's folder."""
+    record_max_mb: float = 300.0
+    """For the recordings of all runs in that folder together; the oldest are removed."""
 
 
 def free_port() -> int:
@@ -135,8 +144,8 @@ def _socket(sockets: Path, name: str) -> str:
     return f"unixsock-stream/{sockets / name}.sock"
 
 
-def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Process, ...]:
-    """The table of one run, in the order in which the processes are started."""
+def process_table(options: RunOptions, model: Model, sockets: Path, folder: Path | None = None) -> tuple[Process, ...]:
+    """The table of one run, in the order in which the processes are started. `folder`: the run's; None: no recorder."""
 
     def bus(name: str, *others: str) -> dict[str, object]:
         return {
@@ -183,7 +192,7 @@ def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Pro
             name="sim",
             argv=python_module("sim_node", sim),
             critical=True,
-            needs=("fast",),
+            needs=("fast", "record"),
             finishes=True,
             start_s=120.0,
         ),  # where nothing is compiled yet, on a busy machine
@@ -222,7 +231,34 @@ def process_table(options: RunOptions, model: Model, sockets: Path) -> tuple[Pro
                 nice=10,
             )
         )
+    if folder is not None:
+        told = {"sim": sim, "fast": fast, "slow": slow}
+        table.insert(0, _recorder(options, sockets, folder, told))
     return tuple(process for process in table if process.name not in options.without)
+
+
+def _recorder(options: RunOptions, sockets: Path, folder: Path, told: dict[str, dict[str, object]]) -> Process:
+    """Its file says what the others were told, but for what is of this host alone."""
+    here = ("bus", "realtime", "trace", "memory_path", "base_url", "api_key_env")
+    about = {
+        "scenario": options.scenario,
+        "seed": str(options.seed),
+        "options": shlex.join(sys.argv[1:]),
+        **{name: json.dumps({k: v for k, v in config.items() if k not in here}) for name, config in told.items()},
+    }
+    config = {
+        "bus": {"mode": "client", "connect": [_socket(sockets, "bus")]},
+        "path": str((options.record or folder / RECORDING).absolute()),
+        "folder": str(folder.parent.absolute()),
+        "max_mb": options.record_max_mb,
+        "about": about,
+    }
+    if "policy" in told["fast"]:
+        config["policy"] = told["fast"]["policy"]
+    # It runs when nobody else wants to: slow is not dead.
+    return Process(
+        name="record", argv=python_module("deploy.record", config), critical=False, heartbeat_s=30.0, start_s=120.0
+    )
 
 
 def listener_of(port: int) -> str | None:

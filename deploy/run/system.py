@@ -52,8 +52,9 @@ def run_system(
     try:
         data_folder().mkdir(parents=True, exist_ok=True)
         with open_bus(BusConfig(mode="router", listen=router_endpoints(sockets, port))) as bus:
-            rows = process_table(options, choose_model(), sockets) if table is None else table
-            return _Run(options, port, bus, rows, policy).to_its_end()
+            folder = new_run_folder()
+            rows = process_table(options, choose_model(), sockets, folder) if table is None else table
+            return _Run(options, port, bus, rows, policy, folder).to_its_end()
     except BusError as error:
         if "in use" not in str(error):
             print(f"fastslow: cannot listen on {TCP_HOST}:{port}: {error}", file=sys.stderr)
@@ -84,10 +85,16 @@ def new_run_folder() -> Path:
 
 class _Run:
     def __init__(
-        self, options: RunOptions, port: int, bus: Bus, table: tuple[Process, ...], policy: RestartPolicy | None
+        self,
+        options: RunOptions,
+        port: int,
+        bus: Bus,
+        table: tuple[Process, ...],
+        policy: RestartPolicy | None,
+        folder: Path,
     ) -> None:
         self._options, self._port, self._bus = options, port, bus
-        self._folder = new_run_folder()
+        self._folder = folder
         self._log = open(self._folder / "supervisor.jsonl", "a", encoding="utf-8")  # noqa: SIM115 - as long as the run
         self._out = sys.stderr if options.as_json else sys.stdout
         self._supervisor = Supervisor(table, self._folder, self._notice, policy)
