@@ -13,6 +13,7 @@ from deploy.cli.judging import commands as judging
 from deploy.cli.learning import commands as learning
 from deploy.cli.memory import app as memory
 from deploy.cli.options import EXITS
+from deploy.cli.recordings import commands as recordings
 from deploy.cli.showing import commands as showing
 
 app = typer.Typer(
@@ -26,7 +27,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-for group in (driving, showing, learning, judging):
+for group in (driving, recordings, showing, learning, judging):
     app.add_typer(group)
 app.add_typer(bench)
 app.add_typer(memory)

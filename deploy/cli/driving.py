@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -42,7 +43,8 @@ def run(
     ] = DEFAULT_PORT,
     as_json: Json = False,
     without: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Leave out sim, fast, slow or llm; may be repeated.")
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Leave out sim, fast, slow, llm or record; may be repeated."),
     ] = None,
     realtime: Annotated[
         str,
@@ -67,6 +69,14 @@ def run(
     cockpit_port: Annotated[
         int, typer.Option(min=0, max=65535, help="Where it is served; if that is held, or 0: any free port.")
     ] = 8000,
+    record: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.mcap", help="Record to this file.", show_default="runs/.../recording.mcap"),
+    ] = None,
+    no_record: Annotated[bool, typer.Option("--no-record", help="Do not record.")] = False,
+    record_max_mb: Annotated[
+        float, typer.Option(min=1.0, help="For all recordings in runs/ together: the oldest are removed.")
+    ] = 300.0,
 ) -> None:
     """Start the simulator, the fast and the slow node, the language model and the cockpit, and watch over them."""
     from deploy.run.processes import NAMES, RunOptions
@@ -74,6 +84,8 @@ def run(
     unknown = sorted(set(without or ()) - set(NAMES))
     if unknown:
         raise typer.BadParameter(f"{', '.join(unknown)}: choose from {', '.join(NAMES)}", param_hint="'--without'")
+    if record is not None and no_record:
+        raise typer.BadParameter("contradicts --record: leave one out", param_hint="'--no-record'")
     from schemas.runtime.realtime import MODES
 
     if realtime not in MODES:
@@ -90,7 +102,7 @@ def run(
                 say=say,
                 say_at_s=say_at,
                 as_json=as_json,
-                without=tuple(without or ()),
+                without=(*(without or ()), *(("record",) if no_record else ())),
                 realtime=realtime,
                 policy=policy or "fastslow",
                 density=density,
@@ -98,6 +110,8 @@ def run(
                 noise_mps=noise_mps,
                 dropout=dropout,
                 cockpit_port=cockpit_port if cockpit else None,
+                record=record,
+                record_max_mb=record_max_mb,
             )
         )
     )

@@ -13,7 +13,6 @@ from pathlib import Path
 
 from deploy.record.container import McapFile, NotARecordingError
 from deploy.record.recorder import FullError, Recorder, describe, prune
-from fast_node.policies.attention import SHIPPED
 from schemas.runtime.bus import Arrivals, open_bus
 from schemas.runtime.process import ConfigError, Heartbeat, NodeConfig, Stopped, load_config, log, run_node
 from schemas.runtime.realtime import yield_to_others
@@ -37,8 +36,8 @@ class RecordConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=
     """Where the folders of all runs are; "": nothing is pruned."""
     max_mb: float = 300.0
     """For all recordings in `folder` together, and for this one alone."""
-    policy: str | None = None
-    """The checkpoint that drives; None: the shipped one."""
+    policy: str = "fastslow"
+    """What drives, as `fast_node.policies.load.load_policy` takes it."""
     about: dict[str, str] = {}
     """Metadata: what the run was told."""
 
@@ -59,7 +58,7 @@ def main() -> None:
         scheduling = yield_to_others(NICE)
         for topic in (EVENT, STATUS):
             bus.announce(topic)
-        recorder = Recorder(file, describe(config.about, Path(config.policy) if config.policy else SHIPPED), max_bytes)
+        recorder = Recorder(file, describe(config.about, config.policy), max_bytes)
         with Heartbeat(bus, NAME, lambda: dict(recorder.figures), stuck_s=60.0) as heart:
             log(NAME, "ready", path=config.path, scheduling=scheduling)
             try:

@@ -60,6 +60,7 @@ def to_minari(recording: Recording, name: str) -> int:
         algorithm_name=f"fastslow {recording.metadata.get('fastslow', '')}".strip(),
         observation_space=spaces.Box(-np.inf, np.inf, SHAPE, np.float32),
         action_space=spaces.Discrete(len(MetaAction)),
+        data_format="arrow",
         description=f"Recorded: {Path(recording.path).name}, {seen[0].scenario}",
     )
     return steps

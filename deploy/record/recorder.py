@@ -18,6 +18,7 @@ from deploy.record.reader import METADATA
 from deploy.record.scene import CHANNELS, SCHEMAS, Scene
 from deploy.run.processes import RECORDING
 from fast_node.mask.vocabulary import VERSION as MASK_VERSION
+from fast_node.policies.attention import SHIPPED
 from schemas.runtime.bus import Arrival
 from schemas.runtime.clock import NS
 from schemas.runtime.process import revision
@@ -104,29 +105,34 @@ class Recorder:
             return None
 
 
-def describe(about: dict[str, str], checkpoint: Path) -> dict[str, str]:
-    """The metadata of a run: what it was told, and what it ran with."""
+def describe(about: dict[str, str], policy: str) -> dict[str, str]:
+    """The metadata of a run: what it was told, and what it ran with. `policy`: as `load_policy` takes it."""
     try:
         ours = version("fastslow")
     except PackageNotFoundError:
         ours = "not installed"
-    try:
-        with checkpoint.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError:
-        digest = ""
     return {
         **about,
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "fastslow": ours,
         "protocol": SCHEMA_VERSION,
         "mask": MASK_VERSION,
-        "checkpoint": str(checkpoint),
-        "checkpoint_sha256": digest,
+        "policy": policy,
+        "policy_sha256": digest_of(policy),
         "revision": revision() or "",
         "python": platform.python_version(),
         "platform": platform.platform(),
     }
+
+
+def digest_of(policy: str) -> str:
+    """SHA-256 of the checkpoint that a policy's name or path stands for; "" for a policy that is none."""
+    path = Path(policy) if policy.endswith(".safetensors") or "/" in policy else SHIPPED.with_stem(policy)
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return ""
 
 
 def prune(folder: Path, max_bytes: int) -> list[Path]:

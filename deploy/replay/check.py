@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 
-from deploy.replay.tape import Answered, Tape, World
-from fast_node.config import FastConfig
+from deploy.replay.tape import Tape, World
 from fast_node.node import FastNode
-from schemas.wire.messages import Action, Event, Message, MetaAction
+from schemas.wire.messages import Action, Event, Message
 from sim_node.config import SimConfig
 from sim_node.node import SimNode
 
@@ -122,62 +120,3 @@ def _drive(node: SimNode, world: World, answers: dict[tuple[int, int], Action], 
         again = node.observation(recorded.stamp_ns)
         found.compare(recorded.epoch, tick, fields_of(recorded), fields_of(again))
     return len(world)
-
-
-@dataclass
-class Disagreement:
-    """Where another driver would have decided otherwise, tick by tick on the recorded road."""
-
-    ticks: int = 0
-    otherwise: int = 0
-    table: Counter[tuple[str, str]] = field(default_factory=Counter)
-    """(recorded, other) actions, where they differ."""
-    first: list[dict[str, Any]] = field(default_factory=list)
-    """The first of them."""
-
-    KEPT = 10
-
-    def add(self, step: Answered, other: Action) -> None:
-        self.ticks += 1
-        if other.meta_action == step.action.meta_action:
-            return
-        self.otherwise += 1
-        pair = MetaAction(step.action.meta_action).name, MetaAction(other.meta_action).name
-        self.table[pair] += 1
-        if len(self.first) < self.KEPT:
-            self.first.append(
-                {
-                    "epoch": step.action.epoch,
-                    "tick": step.action.answers_tick,
-                    "recorded": pair[0],
-                    "other": pair[1],
-                    "recorded_by": step.action.source,
-                    "other_by": other.source,
-                }
-            )
-
-
-def compare_driver(tape: Tape, node_of: NodeFactory) -> Disagreement:
-    """What another driver makes of the same observations and directives. Its own actions are without consequence."""
-    found = Disagreement()
-    node = node_of()
-    for step in tape.answered():
-        if isinstance(step, Action):
-            continue
-        if step.fresh:
-            node = node_of()
-        found.add(step, node.step(step.observation, step.directive, step.arrived_ns)[0])
-    return found
-
-
-def fast_config(told: dict[str, Any]) -> FastConfig:
-    """The fast node's configuration from a recording's metadata."""
-    return msgspec.convert(
-        {name: told[name] for name in ("budget_ms", "decision_ticks", "default_headway_s") if name in told}, FastConfig
-    )
-
-
-def sim_config(told: dict[str, Any]) -> SimConfig:
-    """The simulator's configuration from a recording's metadata."""
-    names = ("scenario", "seed", "hz", "density", "noise_m", "noise_mps", "dropout")
-    return msgspec.convert({name: told[name] for name in names if name in told}, SimConfig)

@@ -251,10 +251,9 @@ def _recorder(options: RunOptions, sockets: Path, folder: Path, told: dict[str, 
         "path": str((options.record or folder / RECORDING).absolute()),
         "folder": str(folder.parent.absolute()),
         "max_mb": options.record_max_mb,
+        "policy": options.policy,
         "about": about,
     }
-    if "policy" in told["fast"]:
-        config["policy"] = told["fast"]["policy"]
     # It runs when nobody else wants to: slow is not dead.
     return Process(
         name="record", argv=python_module("deploy.record", config), critical=False, heartbeat_s=30.0, start_s=120.0
