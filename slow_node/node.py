@@ -16,6 +16,7 @@ from schemas.wire.messages import Directive, Reply
 from slow_node.config import SlowConfig
 from slow_node.deliberation import Abandon, Deliberation, Effect, Interpret, Remember
 from slow_node.interpreter import Interpretation, Interpreter, Style
+from slow_node.journal import Diary
 from slow_node.llm.embedding import load_embedder
 from slow_node.llm.model import MAX_TOKENS, MAX_TOKENS_SHORT, ChatModel
 from slow_node.memory.bank import Memory
@@ -37,6 +38,7 @@ class SlowNode:
         self._commands = bus.subscribe_bytes(topics.COMMAND)
         self._events = bus.subscribe(topics.EVENT)
         self._deliberation = Deliberation()
+        self._diary = Diary(lambda journal: bus.publish(topics.JOURNAL, journal))
         self._interpretation: asyncio.Task[None] | None = None
         self._chores: set[asyncio.Task[None]] = set()
         self._seen: tuple[int, int] | None = None
@@ -65,6 +67,7 @@ class SlowNode:
                 await asyncio.sleep(POLL_S)
         finally:
             self._abandon()
+            self._diary.flush(time.monotonic_ns())
             await self._model.close()
 
     def poll(self, now_ns: int) -> None:
@@ -72,16 +75,20 @@ class SlowNode:
         observation = self._observations.peek()
         if observation is not None and (observation.epoch, observation.tick) != self._seen:
             self._seen = (observation.epoch, observation.tick)
+            self._diary.scene(observation.epoch, observation.tick, now_ns)
             self._carry_out(self._deliberation.on_scene(encode_scene(observation), now_ns))
         for event in self._events.take():
+            self._diary.event(event, now_ns)
             self._carry_out(self._deliberation.on_event(event, now_ns))
         for number, payload in enumerate(self._commands.take()):
             arrival_id = now_ns // 1000 + number
             try:
                 command = decode_command(payload, fallback_id=arrival_id, epoch=self._deliberation.epoch, now_ns=now_ns)
             except Fault as fault:
+                self._diary.refused(str(fault), arrival_id, now_ns)
                 self._carry_out(self._deliberation.refuse_payload(str(fault), arrival_id, now_ns))
                 continue
+            self._diary.command(command, now_ns)
             self._carry_out(self._deliberation.on_command(command, now_ns))
 
     def _carry_out(self, effects: list[Effect]) -> None:
@@ -144,6 +151,9 @@ class SlowNode:
             slots=found.slots,
         )
         self._bus.publish(topics.THOUGHT, thought)
+        now_ns = time.monotonic_ns()
+        self._diary.interpretation(effect.id, found, now_ns)
+        self._carry_out(self._deliberation.on_interpretation(effect.id, found, now_ns))
 
     async def _remember(self, effect: Remember) -> None:
         await asyncio.to_thread(

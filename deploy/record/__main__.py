@@ -16,7 +16,7 @@ from deploy.record.recorder import FullError, Recorder, describe, prune
 from schemas.runtime.bus import Arrivals, open_bus
 from schemas.runtime.process import ConfigError, Heartbeat, NodeConfig, Stopped, load_config, log, run_node
 from schemas.runtime.realtime import yield_to_others
-from schemas.wire.messages import Event
+from schemas.wire.messages import Event, EventKind
 from schemas.wire.topics import EVENT, STATUS
 
 NAME = "record"
@@ -69,7 +69,9 @@ def main() -> None:
                 said = f"recording stopped: {why}; the run goes on"
                 log(NAME, "stopped", said, path=config.path)
                 now_ns = time.monotonic_ns()
-                bus.publish(EVENT, Event(epoch=0, stamp_ns=now_ns, kind="fault", node=NAME, tick=-1, detail=said))
+                bus.publish(
+                    EVENT, Event(epoch=0, stamp_ns=now_ns, kind=EventKind.FAULT, node=NAME, tick=-1, detail=said)
+                )
             except Stopped:
                 with suppress(OSError, FullError):
                     for arrival in arrivals.take():

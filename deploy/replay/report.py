@@ -13,6 +13,7 @@ from deploy.record.reader import NotARecordingError, Recording, open_recording
 from deploy.record.recorder import digest_of
 from deploy.replay.check import Comparison, NodeFactory, check_fast, check_world
 from deploy.replay.driver import Disagreement, compare_driver
+from deploy.replay.slow import check_slow
 from deploy.replay.tape import Tape
 from fast_node.config import FastConfig
 from fast_node.mask import PRESETS
@@ -40,7 +41,14 @@ def replay_check(path: Path, *, as_json: bool) -> int:
     for line in warnings(recording):
         print(f"fastslow: {line}", file=sys.stderr)
     actions, events = check_fast(tape, node_factory(recording))
-    found = {"actions": actions, "events": events, "observations": check_world(tape, told(recording, "sim", SimConfig))}
+    directives, replies = check_slow(tape)
+    found = {
+        "actions": actions,
+        "events": events,
+        "directives": directives,
+        "replies": replies,
+        "observations": check_world(tape, told(recording, "sim", SimConfig)),
+    }
     first = next((c.first_difference for c in found.values() if c.first_difference), None)
     result: dict[str, Any] = {
         "schema": SCHEMA,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 from deploy.record.reader import Recording
-from schemas.wire.messages import Action, Directive, Event, Observation, Status
+from schemas.wire.messages import Action, Directive, Event, Journal, Observation, Reply, Status
 
 World = list[Observation]
 """One epoch, tick by tick."""
@@ -37,6 +37,9 @@ class Tape:
     directives: dict[int, Directive] = field(default_factory=dict)
     events: list[Event] = field(default_factory=list)
     """The fast node's, about directives."""
+    replies: list[Reply] = field(default_factory=list)
+    journals: list[Journal] = field(default_factory=list)
+    """The slow node's inputs."""
     heartbeats: list[Status] = field(default_factory=list)
     """The fast node's."""
 
@@ -44,7 +47,7 @@ class Tape:
     def of(cls, recording: Recording) -> Tape:
         """Read a recording once, from its beginning to its end."""
         tape = cls()
-        for _, _, message in recording.messages({"observation", "action", "directive", "event", "status"}):
+        for _, _, message in recording.messages():
             match message:
                 case Observation():
                     tape.observations[message.epoch, message.tick] = message
@@ -54,6 +57,10 @@ class Tape:
                     tape.directives[message.id] = message
                 case Event(node="fast"):
                     tape.events.append(message)
+                case Reply():
+                    tape.replies.append(message)
+                case Journal():
+                    tape.journals.append(message)
                 case Status(node="fast"):
                     tape.heartbeats.append(message)
         tape.actions.sort(key=lambda action: action.stamp_ns)

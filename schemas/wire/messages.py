@@ -227,6 +227,8 @@ class EventKind(Open):
     EXPIRED = "expired"
     WORLD = "world"
     """A new world has begun; `detail` says after what."""
+    FAULT = "fault"
+    """A part of the run has given up, and the run goes on without it; `detail` says which and why."""
 
 
 class Event(Message, frozen=True, kw_only=True, tag="event"):
@@ -319,3 +321,42 @@ class Control(Message, frozen=True, kw_only=True, tag="control"):
 
 
 AnyMessage = Observation | Action | Command | Directive | Reply | Event | Status | Thought | Control
+class Found(Struct, frozen=True, kw_only=True):
+    """What the passenger's command was found to mean: the language model's answer, checked."""
+
+    slots: str
+    """As JSON; "": none."""
+    why: str
+    model_answered: bool
+
+
+class Input(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One thing that the slow node took into account.
+
+    Exactly one of a tick, an event, a command, what is no command, and what a command was found to mean.
+    """
+
+    now_ns: int
+    """When it did."""
+    epoch: int = -1
+    tick: int = -1
+    """Of an observation."""
+    event: Event | None = None
+    command: Command | None = None
+    """With the id that it was given on arrival, where it came without one."""
+    refused: str | None = None
+    """Why a payload is no command."""
+    found: Found | None = None
+    id: int = -1
+    """Of what was refused or found."""
+
+
+class Journal(Message, frozen=True, kw_only=True, tag="journal"):
+    """What the slow node took into account, in its order: with it, its directives and replies can be had again."""
+
+    seq: int
+    """From 0, without gaps, since its start."""
+    inputs: tuple[Input, ...]
+
+
+AnyMessage = Observation | Action | Command | Directive | Reply | Event | Status | Journal

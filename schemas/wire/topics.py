@@ -51,6 +51,7 @@ THOUGHT = Topic(
     name="thought", type=m.Thought, publisher="slow", hz=None, stale_after_s=60.0, depth=8, max_bytes=MAX_THOUGHT_BYTES
 )
 CONTROL = Topic(name="control", type=m.Control, publisher="anyone", hz=None, stale_after_s=10.0, depth=8)
+JOURNAL = Topic(name="journal", type=m.Journal, publisher="slow", hz=None, stale_after_s=60.0, depth=64)
 
 TOPICS: tuple[
     Topic[m.Observation]
@@ -64,3 +65,6 @@ TOPICS: tuple[
     | Topic[m.Control],
     ...,
 ] = (OBSERVATION, ACTION, DIRECTIVE, COMMAND, REPLY, EVENT, STATUS, THOUGHT, CONTROL)
+    | Topic[m.Journal],
+    ...,
+] = (OBSERVATION, ACTION, DIRECTIVE, COMMAND, REPLY, EVENT, STATUS, JOURNAL)
