@@ -13,7 +13,10 @@ from slow_node.planning.scene import encode_scene
 
 
 def check_slow(tape: Tape) -> tuple[Comparison, Comparison]:
-    """Directives and replies of the recorded deliberation, had again. Unchecked: what came behind a gap in its inputs."""
+    """Directives and replies of the recorded deliberation, had again.
+
+    What came behind a gap in its inputs is unchecked.
+    """
     directives, replies = Comparison(), Comparison()
     again_directives: dict[int, Directive] = {}
     again_replies: dict[tuple[int, int, str], Reply] = {}

@@ -34,6 +34,8 @@ def values(kind: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
             return st.booleans()
         case msgspec.inspect.LiteralType():
             return st.sampled_from(kind.values)
+        case msgspec.inspect.EnumType():
+            return st.sampled_from(list(kind.cls))
         case msgspec.inspect.NoneType():
             return st.none()
         case msgspec.inspect.UnionType():
