@@ -31,7 +31,7 @@ def fastslow(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of eight seconds on a two-way road, with a passenger in a hurry."""
     folder = tmp_path_factory.mktemp("run")
-    words = ("--say", "I'm in a hurry", "--say-at", "1", "--scenario", "two-way-case", "--without", "llm")
+    words = ("--say", "I'm in a hurry", "--say-at", "1", "--scenario", "two-way", "--without", "llm")
     ran = fastslow("run", "--port", "0", "--seed", "3", "--duration", "8", "--json", *words, folder=folder)
     assert ran.returncode == 0, ran.stderr
     assert json.loads(ran.stdout)["missed"] == 0
@@ -57,7 +57,7 @@ class TestARealRun:
         shown = fastslow("replay", str(recording), "--policy", "constant:left", "--json", folder=recording.parent)
         result = json.loads(shown.stdout)
         assert sum(row["ticks"] for row in result["table"]) == result["otherwise"] > 0
-        assert result["first"][0]["other"] == "LEFT"
+        assert all(one["recorded"] != one["other"] for one in result["first"])
 
     def test_a_changed_message_is_found(self, recording, tmp_path):
         changed = tmp_path / "changed.mcap"
