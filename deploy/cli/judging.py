@@ -18,6 +18,7 @@ commands = typer.Typer()
     epilog="Examples:\n\n  fastslow evaluate\n\n  fastslow evaluate --all --episodes 300 --json\n\n"
     "  fastslow evaluate --agent rule --agent idm --scenario merge\n\n"
     "  fastslow evaluate --agent ours --policy mine:load --policy constant:faster\n\n"
+    "  fastslow evaluate --checkpoint old.safetensors --checkpoint new.safetensors --rows episodes.csv\n\n"
     "  fastslow evaluate --scenario highway --wish 23 --wish 25 --wish 28 --plot tradeoff.png\n\n" + EXITS
 )
 def evaluate(
@@ -42,10 +43,11 @@ def evaluate(
     ] = None,
     everything: Annotated[bool, typer.Option("--all", help="Every agent on every scenario.")] = False,
     checkpoint: Annotated[
-        Path | None,
+        list[Path] | None,
         typer.Option(
             metavar="FILE",
-            help="A policy of ours or of a baseline, in the place of its agent's own.",
+            help="A policy of ours or of a baseline, in the place of its agent's own. Two: compare them behind the "
+            "mask, paired by seed.",
             show_default="the shipped ones",
         ),
     ] = None,
@@ -73,6 +75,10 @@ def evaluate(
             help="Draw speed against comfort, a point per wish (two or more).",
         ),
     ] = None,
+    rows: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", dir_okay=False, writable=True, help="Write a row per episode there."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Drive episodes on seeds that training never saw, and print what came of it with 95 % intervals."""
@@ -80,6 +86,18 @@ def evaluate(
         raise typer.BadParameter("needs two or more wishes: --wish 20 --wish 25", param_hint="'--plot'")
     if plot is not None and not plot.parent.is_dir():
         raise typer.BadParameter(f"no folder {plot.parent}: make it first", param_hint="'--plot'")
+    if rows is not None and not rows.parent.is_dir():
+        raise typer.BadParameter(f"no folder {rows.parent}: make it first", param_hint="'--rows'")
+    checkpoints = checkpoint or []
+    if len(checkpoints) > 2:
+        raise typer.BadParameter("one, or two to compare", param_hint="'--checkpoint'")
+    pair = [str(path) for path in checkpoints] if len(checkpoints) == 2 else []
+    if pair and (agent or policy or everything):
+        raise typer.BadParameter(
+            "two are compared with each other: leave other drivers out", param_hint="'--checkpoint'"
+        )
+    if len(set(pair)) == 1:
+        raise typer.BadParameter("the two are the same file", param_hint="'--checkpoint'")
     with readable_ends():
         if plot is not None:
             import_module("matplotlib")  # a missing one is told before minutes of driving, not after
@@ -87,20 +105,29 @@ def evaluate(
         from deploy.lab import report
         from deploy.lab.agents import AGENTS
         from deploy.lab.episodes import Directive
+        from deploy.lab.paired import Episode, compare, paired_table, write_rows
         from sim_node.scenarios import SCENARIOS
 
+        each: list[Episode] = []
         result = lab.evaluate_all(
             list(AGENTS) if everything else agent or None,
             list(SCENARIOS) if everything else scenario or ["highway", "merge", "two-way"],
             episodes,
-            policies=policy or (),
+            policies=pair or policy or (),
             first_seed=first_seed,
-            checkpoint=checkpoint,
+            checkpoint=None if pair or not checkpoints else checkpoints[0],
             directive=cast(Directive, directive),
             wishes_mps=wish or [None],
             progress=lambda text: typer.echo(text, err=True),
+            each=each,
         )
+        if rows is not None:
+            write_rows(each, rows)
+        if pair:
+            result["paired"] = compare(each, *pair)
         typer.echo(json.dumps(result) if as_json else report.table(result))
+        if pair and not as_json:
+            typer.echo(paired_table(result["paired"]))
         if plot is not None:
             report.plot(result["rows"], plot)
 

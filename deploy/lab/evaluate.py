@@ -11,6 +11,7 @@ from typing import Any
 from deploy.lab.agents import LANGUAGE, USE_OURS, behind_the_mask, drive, trained_as
 from deploy.lab.episodes import FIRST_SEED, Directive
 from deploy.lab.language_driver import drive_dilu, memory, running_model
+from deploy.lab.paired import Episode, episode_of
 from deploy.lab.statistics import wilson95
 from schemas.runtime.process import ConfigError
 from sim_node.metrics import EpisodeResult, summarise
@@ -30,13 +31,14 @@ def evaluate_all(
     directive: Directive = "hurry",
     wishes_mps: Sequence[float | None] = (None,),
     progress: Callable[[str], None] = lambda _: None,
+    each: list[Episode] | None = None,
 ) -> dict[str, Any]:
     """A row per scenario, agent and wished speed [m/s] (None: as the directive has it), over the seeds from
     `first_seed`; per scenario the seeds that nobody survived. The result's own `wish_mps` is None for several wishes.
 
     `policies`, as `load_policy` takes them, drive behind the mask and are agents under these names. Without agents and
     policies the one whose policy is in `checkpoint` drives, or ours. Raises `ConfigError` for a checkpoint that none
-    of the agents uses, and as `drive` does.
+    of the agents uses, and as `drive` does. Every episode is appended to `each`.
     """
     own = trained_as(checkpoint) if checkpoint else "ours"
     if agents is None:
@@ -64,6 +66,9 @@ def evaluate_all(
                     directive=directive,
                     wish_mps=wish_mps,
                 )
+            if each is not None:
+                place = {"scenario": name, "agent": agent, "wish_mps": wish_mps, "directive": directive}
+                each += [episode_of(place, seed, r) for seed, r in zip(seeds, results, strict=True)]
             died &= {i for i, r in enumerate(results) if r.collided}
             good = sum(r.success for r in results)
             rows.append(

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-import os
 import signal
 import sys
 from pathlib import Path
@@ -16,7 +15,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from schemas.runtime.process import ConfigError, load_config, log, run_node
-from schemas.runtime.realtime import weigh_session
+from schemas.runtime.realtime import yield_to_others
 from slow_node.llm.embedding import package_file
 
 NAME = "embedded"
@@ -74,27 +73,11 @@ def own_weights(path: Path) -> Path:
     return path
 
 
-def yield_to_others() -> None:
-    """Run only when nobody else wants the core; the threads that the engine starts later inherit it. Never fails.
-
-    With autogroups SCHED_IDLE counts only within a session, so that the session's weight goes down as well: of one that
-    is this process's own, not of the shell that somebody started it from.
-    """
-    if sys.platform != "linux":
-        return
-    try:
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    except OSError:
-        log(NAME, "priority", "SCHED_IDLE is not permitted here; running at normal priority")
-    if os.getsid(0) == os.getpid():
-        weigh_session(19)
-
-
 def serve(config: EmbeddedConfig) -> None:
     """Load the model and serve until a signal ends the process."""
     path = own_weights(Path(config.weights)) if config.weights else weights_path()
     if config.polite:
-        yield_to_others()
+        log(NAME, "priority", yield_to_others())
     import xllamacpp
 
     params = xllamacpp.CommonParams()
