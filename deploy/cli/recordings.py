@@ -66,16 +66,25 @@ def export(
     minari: Annotated[
         str | None, typer.Option(metavar="NAME", help="Write a Minari data set of this name: an episode per world.")
     ] = None,
+    finish: Annotated[
+        bool,
+        typer.Option(
+            "--finish",
+            help="Write the summary that a killed recorder could not: PlotJuggler wants one, we and Foxglove do not.",
+        ),
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Turn a recording into tables or a data set."""
-    if not (csv or parquet or minari):
-        raise typer.BadParameter("give one of these", param_hint="'--csv', '--parquet' or '--minari'")
+    if not (csv or parquet or minari or finish):
+        raise typer.BadParameter("give one of these", param_hint="'--csv', '--parquet', '--minari' or '--finish'")
     with readable_ends():
         from deploy.record.export import to_csv, to_parquet
-        from deploy.replay.report import load
+        from deploy.replay.report import complete, load
 
         recording = load(file)
+        if finish:
+            complete(recording)
         written: dict[str, object] = {"schema": "fastslow.export/1"}
         if csv is not None:
             written["csv"] = to_csv(recording, csv)

@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from deploy.record.container import McapFile
 from deploy.record.reader import NotARecordingError, Recording, open_recording
 from deploy.record.recorder import digest_of
 from deploy.replay.check import Comparison, NodeFactory, check_fast, check_world
@@ -32,6 +33,18 @@ def load(path: Path) -> Recording:
         return open_recording(path)
     except (OSError, NotARecordingError) as error:
         raise ConfigError(f"no recording to read at {path}: {error}") from None
+
+
+def complete(recording: Recording) -> None:
+    """Write the summary of a recording that has none. Raises `ConfigError` if it cannot be, or is still written."""
+    if recording.finished:
+        return
+    try:
+        McapFile(recording.path).finish()
+    except BlockingIOError:
+        raise ConfigError(f"{recording.path} is still being recorded") from None
+    except OSError as error:
+        raise ConfigError(f"cannot finish {recording.path}: {error.strerror}") from None
 
 
 def replay_check(path: Path, *, as_json: bool) -> int:

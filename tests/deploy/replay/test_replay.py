@@ -87,6 +87,16 @@ class TestARealRun:
             assert sum(row["id"] == "0" for row in csv.DictReader(file)) == counts["observation"] == 121
 
 
+def test_a_recording_that_was_cut_off_gets_its_summary(tmp_path):
+    path = tmp_path / "a.mcap"
+    file = McapFile(path)
+    file.add_metadata(METADATA, {"seed": "3"})
+    assert "still being recorded" in fastslow("export", "a.mcap", "--finish", folder=tmp_path).stderr
+    file.close()
+    assert fastslow("export", "a.mcap", "--finish", folder=tmp_path).returncode == 0
+    assert open_recording(path).finished
+
+
 @pytest.mark.parametrize("arguments", [("--check",), ("--policy", "rule")])
 def test_what_is_no_recording_is_told_in_one_line(tmp_path, arguments):
     (tmp_path / "a.mcap").write_bytes(b"my diary, not a recording")
