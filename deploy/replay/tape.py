@@ -73,15 +73,25 @@ class Tape:
             found.setdefault(epoch, []).append(self.observations[epoch, tick])
         return list(found.values())
 
+    def gaps(self) -> dict[int, int]:
+        """By epoch, the first tick that is not recorded although later ones are: what follows it hangs on it."""
+        found = {}
+        for world in self.worlds():
+            if world[-1].tick != len(world) - 1:
+                found[world[0].epoch] = next(n for n, seen in enumerate(world) if seen.tick != n)
+        return found
+
     def answered(self) -> Iterator[Answered | Action]:
         """Every step of the fast node that can be taken again; an action alone where its inputs are not recorded."""
         fresh_at = self._starts()
+        gaps = self.gaps()
         fresh = True
         for number, action in enumerate(self.actions):
             fresh = fresh or number in fresh_at
             observation = self.observations.get((action.epoch, action.answers_tick))
             directive = self.directives.get(action.directive_id) if action.directive_id is not None else None
-            if observation is None or (directive is None) != (action.directive_id is None):
+            behind = action.answers_tick >= gaps.get(action.epoch, action.answers_tick + 1)
+            if observation is None or behind or (directive is None) != (action.directive_id is None):
                 yield action
                 continue
             yield Answered(observation, directive, action, action.stamp_ns - action.compute_ns, fresh)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +17,8 @@ from deploy.record.encoding import json_schema, to_json
 from deploy.record.export import rows, to_csv
 from deploy.record.reader import METADATA, open_recording
 from schemas.wire.topics import TOPICS
+from tests.system.test_system import child_of
+from tests.waiting import until
 
 ROOT = Path(__file__).parents[3]
 ENV = {k: v for k, v in os.environ.items() if not k.startswith("OPENAI_")} | {"PYTHONPATH": str(ROOT)}
@@ -85,6 +88,30 @@ class TestARealRun:
         assert [int(row["answers_tick"]) for row in actions] == sorted(int(row["answers_tick"]) for row in actions)
         with (tmp_path / "vehicles.csv").open(encoding="utf-8") as file:
             assert sum(row["id"] == "0" for row in csv.DictReader(file)) == counts["observation"] == 121
+
+
+@pytest.mark.realtime
+@pytest.mark.slow
+@pytest.mark.timeout(200)
+@pytest.mark.parametrize("victim", ["deploy.record", "fast_node"])
+def test_after_a_death_what_is_recorded_still_comes_out_again(tmp_path, victim):
+    path = tmp_path / "a.mcap"
+    command = [sys.executable, "-m", "deploy", "run", "--port", "0", "--seed", "3", "--duration", "10", "--json"]
+    more = ["--without", "llm", "--without", "slow", "--record", str(path)]
+    env = {**ENV, "FASTSLOW_DATA": str(tmp_path)}
+    with subprocess.Popen(
+        [*command, *more], cwd=tmp_path, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    ) as run:
+        until(lambda: path.exists() and path.stat().st_size > 40_000)
+        os.kill(child_of(run.pid, victim), signal.SIGKILL)
+        summary = json.loads(run.communicate(timeout=120)[0])
+    assert (run.returncode, summary["restarts"]) == (0, 1)
+    assert (victim == "fast_node") == (summary["missed"] > 0)
+    checked = fastslow("replay", str(path), "--check", "--json", folder=tmp_path)
+    result = json.loads(checked.stdout)
+    assert checked.returncode == 0, checked.stdout
+    assert result["checked"]["actions"] > 0
+    assert (victim == "fast_node") == (result["unchecked"]["actions"] == 0)
 
 
 def test_a_recording_that_was_cut_off_gets_its_summary(tmp_path):
