@@ -127,7 +127,9 @@ class SlowNode:
             self._model_ms = found.model_ms
         # Forgotten before its effects: they must not cancel the task that carries them out.
         self._interpretation = None
-        effects = self._deliberation.on_interpretation(effect.id, found, time.monotonic_ns())
+        now_ns = time.monotonic_ns()
+        self._diary.interpretation(effect.id, found, now_ns)
+        effects = self._deliberation.on_interpretation(effect.id, found, now_ns)
         self._carry_out(effects)
         self._tell_how(effect.command, found, trace, effects)
 
@@ -151,9 +153,6 @@ class SlowNode:
             slots=found.slots,
         )
         self._bus.publish(topics.THOUGHT, thought)
-        now_ns = time.monotonic_ns()
-        self._diary.interpretation(effect.id, found, now_ns)
-        self._carry_out(self._deliberation.on_interpretation(effect.id, found, now_ns))
 
     async def _remember(self, effect: Remember) -> None:
         await asyncio.to_thread(

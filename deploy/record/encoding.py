@@ -67,6 +67,8 @@ def _leave_out(value: Any, place: str, nonfinite: dict[str, str]) -> None:
         if isinstance(inner, float) and not math.isfinite(inner):
             nonfinite[at] = "NaN" if math.isnan(inner) else "Infinity" if inner > 0 else "-Infinity"
             inner = None
+            if isinstance(value, list):
+                value[key] = 0.0  # keeps its neighbours in their places
         if inner is None and isinstance(value, dict):
             del value[key]
         elif isinstance(inner, dict | list | tuple):
@@ -79,7 +81,7 @@ def _from_plain(kind: type[M], fields: dict[str, Any]) -> M:
         inner: Any = fields
         for key in parents:
             inner = inner[int(key)] if isinstance(inner, list) else inner[key]
-        inner[last] = _NUMBERS[number]
+        inner[int(last) if isinstance(inner, list) else last] = _NUMBERS[number]
     vehicles = fields.pop("vehicles", None)
     if vehicles is not None:
         rows = np.array([[vehicle[name] for name in ROW_COLUMNS] for vehicle in vehicles], "<f4")

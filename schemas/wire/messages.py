@@ -320,7 +320,6 @@ class Control(Message, frozen=True, kw_only=True, tag="control"):
     """Of a restart: which traffic; None for the same."""
 
 
-AnyMessage = Observation | Action | Command | Directive | Reply | Event | Status | Thought | Control
 class Found(Struct, frozen=True, kw_only=True):
     """What the passenger's command was found to mean: the language model's answer, checked."""
 
@@ -359,4 +358,4 @@ class Journal(Message, frozen=True, kw_only=True, tag="journal"):
     inputs: tuple[Input, ...]
 
 
-AnyMessage = Observation | Action | Command | Directive | Reply | Event | Status | Journal
+AnyMessage = Observation | Action | Command | Directive | Reply | Event | Status | Thought | Control | Journal

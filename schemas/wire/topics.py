@@ -62,9 +62,7 @@ TOPICS: tuple[
     | Topic[m.Event]
     | Topic[m.Status]
     | Topic[m.Thought]
-    | Topic[m.Control],
-    ...,
-] = (OBSERVATION, ACTION, DIRECTIVE, COMMAND, REPLY, EVENT, STATUS, THOUGHT, CONTROL)
+    | Topic[m.Control]
     | Topic[m.Journal],
     ...,
-] = (OBSERVATION, ACTION, DIRECTIVE, COMMAND, REPLY, EVENT, STATUS, JOURNAL)
+] = (OBSERVATION, ACTION, DIRECTIVE, COMMAND, REPLY, EVENT, STATUS, THOUGHT, CONTROL, JOURNAL)
