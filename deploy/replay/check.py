@@ -90,18 +90,20 @@ def check_world(tape: Tape, config: SimConfig) -> Comparison:
     observations = Comparison()
     answers = {(action.epoch, action.answers_tick): action for action in tape.actions}
     node = SimNode(config)
-    epoch = None
+    epoch, ended_ns = None, 0
     for world in tape.worlds():
         first = world[0]
         if epoch is None or first.epoch != epoch + 1:  # a new process: the run's seed again
             node = SimNode(config)
             node.reset(first.epoch)
+        elif order := next((o for o in tape.orders if ended_ns <= o.stamp_ns <= first.stamp_ns), None):
+            node.restart(order.scenario, order.seed, 0)
         elif not node.over:  # the world before was not seen to its end, so that its end is not known
             observations.unchecked += len(world)
             continue
         else:
             node.advance(None, 0)
-        epoch = first.epoch
+        epoch, ended_ns = first.epoch, world[-1].stamp_ns
         done = _drive(node, world, answers, observations)
         observations.unchecked += len(world) - done
     return observations

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 from deploy.record.reader import Recording
-from schemas.wire.messages import Action, Directive, Event, Journal, Observation, Reply, Status
+from schemas.wire.messages import Action, Control, Directive, Event, Journal, Observation, Reply, Status
 
 World = list[Observation]
 """One epoch, tick by tick."""
@@ -37,6 +37,8 @@ class Tape:
     directives: dict[int, Directive] = field(default_factory=dict)
     events: list[Event] = field(default_factory=list)
     """The fast node's, about directives."""
+    orders: list[Control] = field(default_factory=list)
+    """To begin another world."""
     replies: list[Reply] = field(default_factory=list)
     journals: list[Journal] = field(default_factory=list)
     """The slow node's inputs."""
@@ -57,6 +59,8 @@ class Tape:
                     tape.directives[message.id] = message
                 case Event(node="fast"):
                     tape.events.append(message)
+                case Control(do="restart"):
+                    tape.orders.append(message)
                 case Reply():
                     tape.replies.append(message)
                 case Journal():
