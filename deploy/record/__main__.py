@@ -64,6 +64,8 @@ def main() -> None:
             try:
                 record(recorder, arrivals, Path(config.folder) if config.folder else None, max_bytes)
             except (OSError, FullError) as error:
+                with suppress(OSError):
+                    file.finish()
                 why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
                 heart.state = "degraded"
                 said = f"recording stopped: {why}; the run goes on"
@@ -76,10 +78,9 @@ def main() -> None:
                 with suppress(OSError, FullError):
                     for arrival in arrivals.take():
                         recorder.arrived(arrival, time.monotonic_ns())
-                raise
-            finally:
                 with suppress(OSError):
                     file.finish()
+                raise
             while True:  # a heart beats on, so that nobody takes the recorder for dead and starts it again
                 arrivals.wait()
 
