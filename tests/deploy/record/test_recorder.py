@@ -122,7 +122,7 @@ def test_on_a_full_disk_the_recorder_says_so_once_and_lives_on_with_a_file_that_
         faults.extend(events.take())
         return bool(faults)
 
-    with recorder(endpoint, path, most_bytes=40_000) as process:
+    with recorder(endpoint, path, most_bytes=100_000) as process:
         until(full)
         statuses.take()
 
