@@ -15,7 +15,8 @@ File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording, such as
 
 
 @commands.command(
-    epilog="Examples:\n\n  fastslow replay runs/20261127T120000Z-42/recording.mcap --check\n\n"
+    epilog="Examples:\n\n  fastslow replay runs/20261127T120000Z-42/recording.mcap\n\n"
+    "  fastslow replay x.mcap --check\n\n"
     "  fastslow replay x.mcap --policy rule\n\n  fastslow replay x.mcap --mask-preset cautious --json\n\n" + EXITS
 )
 def replay(
@@ -36,14 +37,20 @@ def replay(
         str | None, typer.Option(help="Show where the mask, assuming this of others, would: sim or cautious.")
     ] = None,
     as_json: Json = False,
+    speed: Annotated[float, typer.Option(min=0.1, max=8.0, help="Of the page's playback, at first.")] = 1.0,
+    cockpit_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Where the page is served; if that is held, or 0: any free port.")
+    ] = 8000,
 ) -> None:
-    """Play a recording to the nodes again."""
+    """Show a recording in the cockpit; or play it to the nodes again, and compare."""
     if check and (policy or mask_preset):
         raise typer.BadParameter(
             "compares with the recorded driver itself: leave the other out", param_hint="'--check'"
         )
     if not (check or policy or mask_preset):
-        raise typer.BadParameter("give one of these", param_hint="'--check', '--policy' or '--mask-preset'")
+        from deploy.cockpit.replay import replay as show
+
+        raise typer.Exit(show(file, port=cockpit_port, speed=speed))
     with readable_ends():
         from deploy.replay.report import replay_check, replay_other
 

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import sys
-from importlib import import_module
 from pathlib import Path
 
 from deploy.cockpit.__main__ import address, listen, serve
 from deploy.cockpit.config import CockpitConfig
 from deploy.cockpit.sources import RecordingSource
+from deploy.record.reader import NotARecordingError, open_recording
 from schemas.runtime.process import CONFIG, OK, ConfigError
 
 
 def replay(path: Path, *, host: str = "127.0.0.1", port: int = 8000, speed: float = 1.0) -> int:
     """Serve the recording in `path` until a signal; the exit code."""
-    reader = import_module("deploy.record.reader")
     try:
-        source = RecordingSource(reader.open_recording(path))
+        source = RecordingSource(open_recording(path))
         source.speed = speed
         listener = listen(host, port)
-    except (OSError, reader.NotARecordingError, ConfigError) as error:
+    except (OSError, NotARecordingError, ConfigError) as error:
         print(f"fastslow: {path}: {error}", file=sys.stderr)
         return CONFIG
     print(f"fastslow: {path} is shown at {address(listener)} (Ctrl-C ends it)", flush=True)
