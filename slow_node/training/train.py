@@ -29,7 +29,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from slow_node.evaluation.score import exam_texts, plain_text
-from slow_node.llm.embedding import DELTA, MAX_TOKENS, WEIGHTS_PACKAGE, package_file
+from slow_node.llm.embedding import DELTA, GRAM_SCALES, GRAMS, MAX_TOKENS, WEIGHTS_PACKAGE, in_bytes, package_file
 from slow_node.training.generator import Generator
 from slow_node.training.stock import Sample, Stock, load_stock
 from slow_node.understanding.intent_parser import BUCKETS, HEADS, grams
@@ -251,7 +251,7 @@ def restore(network: Network, folder: Path) -> None:
         network.dense.weight.copy_(tensors["dense.weight"].float())
         network.dense.bias.copy_(tensors["dense.bias"].float())
         network.top.weight.copy_(tensors["top.weight"].float())
-        network.sparse.weight.copy_(tensors["sparse.weight"].float())
+        network.sparse.weight.copy_(tensors[GRAMS].float() * tensors[GRAM_SCALES].float())
         network.sparse_bias.copy_(tensors["sparse.bias"].float())
 
 
@@ -337,7 +337,7 @@ def restart(out: Path, size: int, epochs: int, seed: int, number: int) -> None:
 
 
 def save(network: Network, out: Path, check: Data, settings: dict[str, int]) -> None:
-    """Float16 weights, and a JSON sidecar that says what they are. Temperatures are folded into the heads."""
+    """Float16 weights, the n-grams in bytes, and a JSON sidecar. Temperatures are folded into the heads."""
     logits, labels = evaluate(network, check)
     scale = temperatures(logits, labels)
     figures = {"held_out": float(len(labels)), "held_out_exact": exact(logits, labels)}
@@ -350,10 +350,11 @@ def save(network: Network, out: Path, check: Data, settings: dict[str, int]) -> 
     tensors["dense.weight"] = (network.dense.weight / divisor[:, None]).detach().numpy()
     tensors["dense.bias"] = (network.dense.bias / divisor).detach().numpy()
     tensors["top.weight"] = (network.top.weight / divisor[:, None]).detach().numpy()
-    tensors["sparse.weight"] = network.sparse.weight.detach().numpy()
     tensors["sparse.bias"] = network.sparse_bias.detach().numpy()
     out.mkdir(parents=True, exist_ok=True)
-    save_file({k: np.ascontiguousarray(v, np.float16) for k, v in tensors.items()}, out / DELTA.name)
+    halves = {k: np.ascontiguousarray(v, np.float16) for k, v in tensors.items()}
+    grams, scales = in_bytes(network.sparse.weight.detach().numpy())
+    save_file({**halves, GRAMS: grams, GRAM_SCALES: scales}, out / DELTA.name)
     sidecar = {
         "base": "all-MiniLM-L6-v2",
         "rank": RANK,

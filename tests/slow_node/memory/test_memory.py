@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from deploy.cli.memory import app
 from slow_node.interpreter import Interpretation, Interpreter, Style
-from slow_node.llm.embedding import HashedEmbedder, Rows, Vector, load_embedder
+from slow_node.llm.embedding import HashedEmbedder, Rows, Vector, in_bytes, load_embedder
 from slow_node.llm.model import ChatModel
 from slow_node.memory.bank import Memory, experience
 from slow_node.memory.examples import embed_command, read_shipped, ship_vectors, shipped_vectors
@@ -384,6 +384,17 @@ def test_rows_read_from_a_file_are_the_rows_of_its_matrix(tmp_path: Path) -> Non
     path = tmp_path / "table.safetensors"
     path.write_bytes(save({"first": np.zeros(5, np.float32), "table": table}))
     assert (Rows(path, "table")[np.array([3, 0, 3])] == table[[3, 0, 3]]).all()
+
+
+def test_rows_of_bytes_are_within_a_two_hundred_and_fiftieth_of_the_matrix(tmp_path: Path) -> None:
+    table = np.random.default_rng(1).normal(size=(4, 96)).astype(np.float32)
+    table[2] = 0.0
+    path = tmp_path / "table.safetensors"
+    grams, scales = in_bytes(table)
+    path.write_bytes(save({"table": grams}))
+    read = Rows(path, "table", scales.astype(np.float32))[np.array([3, 0, 2])]
+    bound = np.abs(table[[3, 0, 2]]).max(axis=1, keepdims=True) / 250.0
+    assert (np.abs(read - table[[3, 0, 2]]) <= bound).all()
 
 
 def test_the_stand_in_for_the_embedding_gives_unit_vectors() -> None:
