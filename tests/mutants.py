@@ -1,0 +1,264 @@
+"""Mutation testing: `make mutants` changes one thing at a time in what drives and sees whether a test notices.
+
+The changes are mutmut's, at module level, too, and one of our own: a condition that always or never holds. Each mutant
+runs in a fork of a process that has imported everything but our own code: the tests of its part, cheapest first, up to
+the first failure, then the digest of behaviour. A digest says "changed", not "unsafe": the report counts its kills
+apart. Survivors are listed with a reason from `mutants.toml`; without one, or above `MOST`, the command fails.
+
+    python -m tests.mutants [PART ...]     the parts named, or all; only all of them write the report
+"""
+
+from __future__ import annotations
+
+import importlib.machinery
+import importlib.util
+import json
+import os
+import pickle
+import resource
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
+
+import libcst as cst
+import pytest
+from hypothesis import HealthCheck, Phase, settings
+from libcst.metadata import MetadataWrapper, PositionProvider
+from mutmut.mutation.file_mutation import MutationVisitor
+from mutmut.mutation.mutators import mutation_operators
+from mutmut.mutation.pragma_handling import IgnoredCode
+
+ROOT = Path(__file__).parents[1]
+REPORT = ROOT / "reports/mutants.json"
+REASONS = ROOT / "tests/mutants.toml"
+MOST = 0.05
+"""Of a part's mutants may survive."""
+EXAMPLES = 25
+"""Of each property."""
+
+
+class Part(NamedTuple):
+    """Code and what judges it."""
+
+    sources: str
+    """Pattern of its files."""
+    tests: tuple[str, ...]
+    """Files and folders."""
+    digest: bool = False
+    """Whether the digest of behaviour judges, too."""
+
+
+PARTS = {
+    "codec": Part("schemas/wire/codec.py", ("tests/schemas/wire/test_codec.py", "tests/schemas/wire/test_contract.py")),
+    "coordination": Part("fast_node/coordination.py", ("tests/fast_node/test_fast.py",)),
+    "choice": Part("fast_node/choice.py", ("tests/fast_node/test_mask.py",), digest=True),
+    "mask": Part("fast_node/mask.py", ("tests/fast_node/test_mask.py",), digest=True),
+}
+NO_JUDGES = "not compiled and not version"
+"""No test that compiles with numba, nor the one that holds the digest."""
+BY_NOBODY, BY_TESTS, BY_DIGEST = range(3)
+"""Who has noticed a mutant: exit statuses of a fork."""
+
+
+class Mutant(NamedTuple):
+    file: str
+    line: int
+    function: str
+    change: str
+    source: str
+
+
+def outcome_forced(node: cst.If | cst.CompIf) -> Iterable[cst.CSTNode]:
+    """The condition never holds, or always: mutmut has no such change, and it takes a whole rule away."""
+    for outcome in ("False", "True"):
+        yield node.with_changes(test=cst.Name(outcome))
+
+
+OPERATORS = [*mutation_operators, (cst.If, outcome_forced), (cst.CompIf, outcome_forced)]
+
+
+def mutants_of(file: str) -> Iterator[Mutant]:
+    """Each changed source of `file` that compiles, once."""
+    source = (ROOT / file).read_text()
+    tree = MetadataWrapper(cst.parse_module(source))
+    visitor = MutationVisitor(OPERATORS, IgnoredCode(set(), set(), set()))
+    module = tree.visit(visitor)
+    place, seen = tree.resolve(PositionProvider), {source}
+    for m in visitor.mutations:
+        changed = module.deep_replace(m.original_node, m.mutated_node).code
+        line = place[m.original_node].start.line - 1
+        old, new = (text.splitlines() for text in (source, changed))
+        first = next((k for k, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), line)
+        if changed in seen or "TypeVar(" in old[first]:  # types are for the type checker
+            continue
+        seen.add(changed)
+        try:
+            compile(changed, file, "exec")
+        except SyntaxError:
+            continue
+        function = getattr(getattr(m.contained_by_top_level_function, "name", None), "value", "")
+        yield Mutant(file, first + 1, function, f"{old[first].strip()} -> {new[first].strip()}", changed)
+
+
+class Changed(importlib.machinery.SourceFileLoader):
+    """Finds and loads one module of ours from another source."""
+
+    def __init__(self, mutant: Mutant) -> None:
+        super().__init__(mutant.file.removesuffix(".py").replace("/", ".").removesuffix(".__init__"), str(ROOT / mutant.file))
+        self.source = mutant.source
+
+    def find_spec(self, name: str, path: object, target: object = None) -> importlib.machinery.ModuleSpec | None:
+        return importlib.util.spec_from_file_location(name, self.path, loader=self) if name == self.name else None
+
+    def get_code(self, fullname: str) -> Any:
+        return compile(self.source, self.path, "exec")
+
+
+class Briefly:
+    """pytest plugin: hand-made scenes before properties; of each property few examples, the same ones every time."""
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Function]) -> None:
+        items.sort(key=lambda item: hasattr(item.obj, "hypothesis"))
+        for item in items:
+            own = getattr(item.obj, "_hypothesis_internal_use_settings", None)
+            if own is not None:
+                item.obj._hypothesis_internal_use_settings = settings(
+                    own,
+                    max_examples=min(own.max_examples, EXAMPLES),
+                    derandomize=True,
+                    database=None,
+                    deadline=None,
+                    phases=[Phase.explicit, Phase.generate],
+                    suppress_health_check=list(HealthCheck),
+                )
+
+
+def tests_pass(part: Part) -> bool:
+    """Whether the tests of a part do, up to the first that does not."""
+    quiet = ["-x", "--tb=short", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
+    return pytest.main([*quiet, "-k", NO_JUDGES, *part.tests], [Briefly()]) == 0
+
+
+def judgements(scenes: Sequence[Any]) -> Iterator[tuple[int, ...]]:
+    """What mask and choice make of each scene with each preset."""
+    from tests import mask_behaviour as behaviour
+
+    for scene in scenes:
+        for name in sorted(behaviour.PRESETS):
+            yield behaviour.judged(behaviour.Scene(*scene), behaviour.PRESETS[name])
+
+
+def learn(part: Part, found: str) -> int:
+    """Run the unchanged code; write to the file `found` what it imports, its CPU time [s] and its judgements."""
+    if not tests_pass(part):
+        return BY_TESTS
+    scenes: list[Any] = []
+    if part.digest:
+        from tests import mask_behaviour as behaviour
+
+        scenes = [tuple(scene) for scene in behaviour.draw()]
+    result = scenes, list(judgements(scenes)), sorted(sys.modules), time.process_time()
+    Path(found).write_bytes(pickle.dumps(result))
+    return BY_NOBODY
+
+
+def judge(mutant: Mutant, part: Part, scenes: Sequence[Any], expected: Sequence[Any]) -> int:
+    """Who notices a mutant."""
+    sys.meta_path.insert(0, Changed(mutant))  # type: ignore[arg-type]
+    if not tests_pass(part):
+        return BY_TESTS
+    same = all(a == b for a, b in zip(judgements(scenes), expected, strict=True))
+    return BY_NOBODY if same else BY_DIGEST
+
+
+def fork(work: Callable[[], int], cpu_s: float, loud: bool = False) -> int:
+    """The id of a process that does `work` and exits with what it returns, or `BY_DIGEST` where it raises."""
+    pid = os.fork()
+    if pid:
+        return pid
+    status = BY_DIGEST
+    try:
+        resource.setrlimit(resource.RLIMIT_CPU, (round(cpu_s), round(cpu_s)))
+        if not loud:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, 1)
+            os.dup2(nowhere, 2)
+        status = work()
+    finally:
+        sys.stdout.flush()
+        os._exit(status)
+
+
+def run(name: str) -> tuple[list[Mutant], list[int]]:
+    """The mutants of a part and who noticed each."""
+    part = PARTS[name]
+    with tempfile.NamedTemporaryFile() as found:
+        pid = fork(lambda: learn(part, found.name), 600, loud=True)
+        if os.waitpid(pid, 0)[1] != 0:
+            raise SystemExit(f"{name}: the tests of the unchanged code fail")
+        scenes, expected, modules, cpu_s = pickle.load(found)
+    ours = {path.name for path in ROOT.iterdir()}
+    for module in modules:
+        if module.partition(".")[0] not in ours and not module.startswith("_"):
+            try:
+                importlib.import_module(module)
+            except ImportError:  # made by hand when another was imported
+                pass
+    mutants = [m for path in sorted(ROOT.glob(part.sources)) for m in mutants_of(str(path.relative_to(ROOT)))]
+    verdicts = [BY_NOBODY] * len(mutants)
+    waiting, running, began = list(range(len(mutants)))[::-1], dict[int, int](), time.monotonic()
+    while waiting or running:
+        while waiting and len(running) < (os.cpu_count() or 1):
+            k = waiting.pop()
+            pid = fork(lambda k=k: judge(mutants[k], part, scenes, expected), 5.0 * cpu_s + 10.0)
+            running[pid] = k
+        pid, status = os.wait()
+        # One that loops is ended by the limit of its CPU time.
+        verdicts[running.pop(pid)] = os.WEXITSTATUS(status) if os.WIFEXITED(status) else BY_TESTS
+        done = len(mutants) - len(waiting) - len(running)
+        if done % 25 == 0 or done == len(mutants):
+            print(f"{name}: {done} of {len(mutants)} mutants, {time.monotonic() - began:.0f} s", flush=True)
+    return mutants, verdicts
+
+
+def row_of(name: str) -> dict[str, Any]:
+    """A part's row of the report."""
+    reasons = {(r["file"], r["function"], r["change"]): r["reason"] for r in tomllib.loads(REASONS.read_text())["survivor"]}
+    mutants, verdicts = run(name)
+    left = [m for m, by in zip(mutants, verdicts, strict=True) if by == BY_NOBODY]
+    return {
+        "module": PARTS[name].sources,
+        "mutants": len(mutants),
+        "survived": len(left),
+        "killed_by_digest_only": verdicts.count(BY_DIGEST),
+        "listed": [
+            {"where": f"{m.file}:{m.line}", "change": m.change, "reason": reasons.get((m.file, m.function, m.change), "")}
+            for m in left
+        ],
+    }
+
+
+def main(names: Sequence[str]) -> int:
+    rows = [row_of(name) for name in names or PARTS]
+    faults = []
+    for row in rows:
+        unexplained = [f"{r['where']}: {r['change']}" for r in row["listed"] if not r["reason"]]
+        faults += unexplained
+        if row["survived"] > MOST * row["mutants"]:
+            faults.append(f"{row['module']}: {row['survived']} of {row['mutants']} survive")
+    if not names:
+        REPORT.parent.mkdir(exist_ok=True)
+        REPORT.write_text(json.dumps({"schema": "mutants/1", "rows": rows}, indent=1, ensure_ascii=False) + "\n")
+    for row in rows:
+        print({k: v for k, v in row.items() if k != "listed"})
+    print(*faults, sep="\n")
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
