@@ -22,13 +22,14 @@ import time
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from types import CodeType
+from typing import Any, NamedTuple
 
 import libcst as cst
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 from libcst.metadata import MetadataWrapper, PositionProvider
-from mutmut.mutation.file_mutation import MutationVisitor
+from mutmut.mutation.file_mutation import Mutation, MutationVisitor
 from mutmut.mutation.mutators import mutation_operators
 from mutmut.mutation.pragma_handling import IgnoredCode
 
@@ -37,7 +38,7 @@ REPORT = ROOT / "reports/mutants.json"
 REASONS = ROOT / "tests/mutants.toml"
 MOST = 0.05
 """Of a part's mutants may survive."""
-EXAMPLES = 25
+EXAMPLES = 15
 """Of each property."""
 
 
@@ -54,22 +55,32 @@ class Part(NamedTuple):
 
 PARTS = {
     "codec": Part("schemas/wire/codec.py", ("tests/schemas/wire/test_codec.py", "tests/schemas/wire/test_contract.py")),
-    "coordination": Part("fast_node/coordination.py", ("tests/fast_node/test_fast.py",)),
-    "choice": Part("fast_node/choice.py", ("tests/fast_node/test_mask.py",), digest=True),
+    "coordination": Part("fast_node/coordination.py", ("tests/fast_node/test_coordination.py",)),
+    "choice": Part("fast_node/choice.py", ("tests/fast_node/test_choice.py",), digest=True),
     "mask": Part("fast_node/mask.py", ("tests/fast_node/test_mask.py",), digest=True),
 }
 NO_JUDGES = "not compiled and not version"
 """No test that compiles with numba, nor the one that holds the digest."""
-BY_NOBODY, BY_TESTS, BY_DIGEST = range(3)
-"""Who has noticed a mutant: exit statuses of a fork."""
+BY_NOBODY, BY_TESTS, BY_DIGEST, NO_CODE, BROKEN = range(5)
+"""Exit statuses of a fork: who has noticed a mutant; that it is no Python; that something in here has failed."""
 
 
 class Mutant(NamedTuple):
     file: str
+    tree: cst.Module
     line: int
-    function: str
-    change: str
-    source: str
+    mutation: Mutation
+
+    def source(self) -> str:
+        """Of the changed file."""
+        return self.tree.deep_replace(self.mutation.original_node, self.mutation.mutated_node).code  # type: ignore[attr-defined]
+
+    def described(self) -> tuple[int, str, str]:
+        """The line, the function around it, and what the line was and has become."""
+        function = getattr(getattr(self.mutation.contained_by_top_level_function, "name", None), "value", "")
+        old, new = self.tree.code.splitlines(), self.source().splitlines()
+        line = next((k for k, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), self.line - 1)
+        return line + 1, function, f"{old[line].strip()} -> {new[line].strip()}"
 
 
 def outcome_forced(node: cst.If | cst.CompIf) -> Iterable[cst.CSTNode]:
@@ -82,40 +93,29 @@ OPERATORS = [*mutation_operators, (cst.If, outcome_forced), (cst.CompIf, outcome
 
 
 def mutants_of(file: str) -> Iterator[Mutant]:
-    """Each changed source of `file` that compiles, once."""
-    source = (ROOT / file).read_text()
-    tree = MetadataWrapper(cst.parse_module(source))
+    """All that `OPERATORS` make of a file, but for changes of types, which only the type checker sees."""
+    wrapper = MetadataWrapper(cst.parse_module((ROOT / file).read_text()))
     visitor = MutationVisitor(OPERATORS, IgnoredCode(set(), set(), set()))
-    module = tree.visit(visitor)
-    place, seen = tree.resolve(PositionProvider), {source}
-    for m in visitor.mutations:
-        changed = module.deep_replace(m.original_node, m.mutated_node).code
-        line = place[m.original_node].start.line - 1
-        old, new = (text.splitlines() for text in (source, changed))
-        first = next((k for k, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), line)
-        if changed in seen or "TypeVar(" in old[first]:  # types are for the type checker
-            continue
-        seen.add(changed)
-        try:
-            compile(changed, file, "exec")
-        except SyntaxError:
-            continue
-        function = getattr(getattr(m.contained_by_top_level_function, "name", None), "value", "")
-        yield Mutant(file, first + 1, function, f"{old[first].strip()} -> {new[first].strip()}", changed)
+    tree, place = wrapper.visit(visitor), wrapper.resolve(PositionProvider)
+    lines = tree.code.splitlines()
+    for mutation in visitor.mutations:
+        line = place[mutation.original_node].start.line
+        if "TypeVar(" not in lines[line - 1]:
+            yield Mutant(file, tree, line, mutation)
 
 
 class Changed(importlib.machinery.SourceFileLoader):
     """Finds and loads one module of ours from another source."""
 
-    def __init__(self, mutant: Mutant) -> None:
-        super().__init__(mutant.file.removesuffix(".py").replace("/", ".").removesuffix(".__init__"), str(ROOT / mutant.file))
-        self.source = mutant.source
+    def __init__(self, file: str, code: CodeType) -> None:
+        super().__init__(file.removesuffix(".py").replace("/", ".").removesuffix(".__init__"), str(ROOT / file))
+        self.code = code
 
     def find_spec(self, name: str, path: object, target: object = None) -> importlib.machinery.ModuleSpec | None:
         return importlib.util.spec_from_file_location(name, self.path, loader=self) if name == self.name else None
 
-    def get_code(self, fullname: str) -> Any:
-        return compile(self.source, self.path, "exec")
+    def get_code(self, fullname: str) -> CodeType:
+        return self.code
 
 
 class Briefly:
@@ -169,19 +169,26 @@ def learn(part: Part, found: str) -> int:
 
 def judge(mutant: Mutant, part: Part, scenes: Sequence[Any], expected: Sequence[Any]) -> int:
     """Who notices a mutant."""
-    sys.meta_path.insert(0, Changed(mutant))  # type: ignore[arg-type]
+    try:
+        code = compile(mutant.source(), mutant.file, "exec")
+    except SyntaxError:
+        return NO_CODE
+    sys.meta_path.insert(0, Changed(mutant.file, code))  # type: ignore[arg-type]
     if not tests_pass(part):
         return BY_TESTS
-    same = all(a == b for a, b in zip(judgements(scenes), expected, strict=True))
+    try:
+        same = all(a == b for a, b in zip(judgements(scenes), expected, strict=True))
+    except Exception:
+        return BY_DIGEST
     return BY_NOBODY if same else BY_DIGEST
 
 
 def fork(work: Callable[[], int], cpu_s: float, loud: bool = False) -> int:
-    """The id of a process that does `work` and exits with what it returns, or `BY_DIGEST` where it raises."""
+    """The id of a process that does `work` and exits with what it returns."""
     pid = os.fork()
     if pid:
         return pid
-    status = BY_DIGEST
+    status = BROKEN
     try:
         resource.setrlimit(resource.RLIMIT_CPU, (round(cpu_s), round(cpu_s)))
         if not loud:
@@ -210,7 +217,7 @@ def run(name: str) -> tuple[list[Mutant], list[int]]:
             except ImportError:  # made by hand when another was imported
                 pass
     mutants = [m for path in sorted(ROOT.glob(part.sources)) for m in mutants_of(str(path.relative_to(ROOT)))]
-    verdicts = [BY_NOBODY] * len(mutants)
+    verdicts = [NO_CODE] * len(mutants)
     waiting, running, began = list(range(len(mutants)))[::-1], dict[int, int](), time.monotonic()
     while waiting or running:
         while waiting and len(running) < (os.cpu_count() or 1):
@@ -219,27 +226,33 @@ def run(name: str) -> tuple[list[Mutant], list[int]]:
             running[pid] = k
         pid, status = os.wait()
         # One that loops is ended by the limit of its CPU time.
-        verdicts[running.pop(pid)] = os.WEXITSTATUS(status) if os.WIFEXITED(status) else BY_TESTS
+        verdicts[k := running.pop(pid)] = os.WEXITSTATUS(status) if os.WIFEXITED(status) else BY_TESTS
+        if verdicts[k] == BROKEN:
+            raise SystemExit(f"{name}: {mutants[k].described()} could not be judged")
+        if verdicts[k] == BY_NOBODY:
+            print(f"{name}: {mutants[k].file}:{mutants[k].described()} survives", flush=True)
         done = len(mutants) - len(waiting) - len(running)
-        if done % 25 == 0 or done == len(mutants):
+        if done % 50 == 0 or done == len(mutants):
             print(f"{name}: {done} of {len(mutants)} mutants, {time.monotonic() - began:.0f} s", flush=True)
     return mutants, verdicts
 
 
 def row_of(name: str) -> dict[str, Any]:
     """A part's row of the report."""
-    reasons = {(r["file"], r["function"], r["change"]): r["reason"] for r in tomllib.loads(REASONS.read_text())["survivor"]}
+    known = tomllib.loads(REASONS.read_text())["survivor"]
+    reasons = {(r["file"], r["function"], r["change"]): r["reason"] for r in known}
     mutants, verdicts = run(name)
-    left = [m for m, by in zip(mutants, verdicts, strict=True) if by == BY_NOBODY]
+    listed = []
+    for mutant in (m for m, by in zip(mutants, verdicts, strict=True) if by == BY_NOBODY):
+        line, function, change = mutant.described()
+        reason = reasons.get((mutant.file, function, change), "")
+        listed.append({"where": f"{mutant.file}:{line}", "change": change, "reason": reason})
     return {
         "module": PARTS[name].sources,
-        "mutants": len(mutants),
-        "survived": len(left),
+        "mutants": len(mutants) - verdicts.count(NO_CODE),
+        "survived": len(listed),
         "killed_by_digest_only": verdicts.count(BY_DIGEST),
-        "listed": [
-            {"where": f"{m.file}:{m.line}", "change": m.change, "reason": reasons.get((m.file, m.function, m.change), "")}
-            for m in left
-        ],
+        "listed": listed,
     }
 
 
