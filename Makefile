@@ -4,7 +4,7 @@ BIN := .venv/bin
 TEXT ?= I'm in a hurry to get to work, I want to drive faster
 export TEXT
 
-.PHONY: setup setup-dev run say test parity difficulty study baselines film picture check clean
+.PHONY: setup setup-dev run say test parity difficulty study baselines film picture check mutants clean
 .DEFAULT_GOAL := run
 
 # What driving, speaking and evaluating need: no torch.
@@ -68,6 +68,10 @@ check: setup-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# What the tests of mask, choice, codec and coordination notice: reports/mutants.json, and why the rest is let through.
+mutants: setup
+	$(BIN)/python -m tests.mutants $(ARGS)
 
 clean:
 	rm -rf .venv runs build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

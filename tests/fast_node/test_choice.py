@@ -21,7 +21,7 @@ from fast_node.choice import (
     choose,
     narrow,
 )
-from fast_node.mask import LEAD, NOT_WISHED, OPEN
+from fast_node.mask.vocabulary import LEAD, NOT_WISHED, OPEN
 
 ALL = (SLOW_DOWN, CRUISE, SPEED_UP, LEFT, RIGHT)
 SPEEDS = {SLOW_DOWN, CRUISE, SPEED_UP}
