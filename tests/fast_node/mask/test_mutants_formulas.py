@@ -1,0 +1,423 @@
+"""The mask's formulas against numbers worked out by hand, with a preset of round numbers."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from fast_node.mask.entering import entry, follower_gap, must_leave
+from fast_node.mask.gaps import allowed_speed, aside_m, side_gap
+from fast_node.mask.lane_end import speed_before_end
+from fast_node.mask.neighbours import half_width, heads_for, survey
+from fast_node.mask.passing import pass_time_s, passing, start_pass
+from fast_node.mask.vocabulary import (
+    FRONT_GAP,
+    LEAD,
+    NO_LANE,
+    NO_RETURN,
+    NOTHING_TO_PASS,
+    ONCOMING,
+    OPEN,
+    REAR_GAP,
+    Preset,
+    Situation,
+    back_action,
+)
+from schemas.wire.messages import MetaAction
+from tests.mask_scenes import HIGHWAY, LANES, RAMP, SIGHT_M, car
+
+PLAIN = Preset(
+    reaction_s=0.5,
+    ego_brake=4.0,
+    lead_brake=8.0,
+    standstill_m=3.0,
+    follow_s=1.0,
+    ceiling_reaction_s=0.5,
+    ceiling_brake=4.0,
+    follower_reaction_s=1.0,
+    follower_brake=5.0,
+    courtesy_brake=0.75,
+    side_accel=0.5,
+    side_brake=2.0,
+    sway_m=0.25,
+)
+
+
+def moving(row: list[float], sideways: float = 0.0, sine: float = 0.0) -> list[float]:
+    """The same car with a motion sideways [m/s] and a heading of this sine."""
+    return [*row[:4], sideways, math.asin(sine), *row[6:]]
+
+
+def situation(
+    rows: list[list[float]],
+    lanes: Any = HIGHWAY,
+    lane: int = 1,
+    previous: int = -1,
+    speed: float = 10.0,
+    preset: Preset = PLAIN,
+    sight: float = SIGHT_M,
+) -> Situation:
+    near = [0] * (3 * len(lanes))
+    return Situation(rows, lanes, near, speed, lane, previous, sight, survey(rows, lanes, near), preset)
+
+
+# Speeds that a gap admits.
+
+
+@pytest.mark.parametrize(
+    ("gap", "lead", "speed"),
+    [
+        (11.0, 10.0, 9.0),  # 2 m short of 3 m and 1 s: half of it in m/s below the lead's speed
+        (20.0, 0.0, 8.5),
+        (20.0, 10.0, math.sqrt(4 + 144 + 50) - 2),  # what it can brake from
+        (1.0, 0.0, 0.0),
+    ],
+)
+def test_a_gap_admits_the_speed_that_it_can_follow_at_and_brake_from(gap, lead, speed):
+    assert allowed_speed(gap, lead, PLAIN) == pytest.approx(speed)
+
+
+def test_the_last_two_metres_of_a_gap_are_not_braked_in():
+    assert allowed_speed(1.0, 4.0, PLAIN._replace(follow_s=0.0)) == pytest.approx(math.sqrt(12) - 2)
+
+
+def test_nobody_is_admitted_a_step_by_a_gap_just_above_nothing():
+    assert allowed_speed(3.5, 0.0, PLAIN) == pytest.approx(0.25)
+
+
+# Room for a follower.
+
+
+@pytest.mark.parametrize(
+    ("behind", "ego", "gap"),
+    [
+        (10.0, 8.0, 10 + 0.25 + 11.025 - 8),
+        (10.0, 2.5, 15 + 0.5625 + 11.55625 - 0.78125),  # at half the walking pace it reacts half a second later
+        (10.0, 0.0, 20 + 1 + 12.1),
+        (0.0, 5.0, 4.0),  # never less than at a standstill, and a metre
+    ],
+)
+def test_a_follower_that_is_spared_nothing_needs_room_to_stop(behind, ego, gap):
+    assert follower_gap(behind, ego, True, PLAIN) == pytest.approx(gap)
+
+
+def test_a_follower_that_is_spared_a_brake_needs_an_idm_gap_for_that_brake():
+    assert follower_gap(10.0, 8.0, False, PLAIN) == pytest.approx(2 * (5 + 15 + 10 / math.sqrt(15)))
+
+
+def test_a_follower_that_is_spared_little_still_needs_room_to_stop():
+    assert follower_gap(20.0, 0.0, False, PLAIN._replace(courtesy_brake=12.0)) == pytest.approx(40 + 1 + 44.1)
+
+
+# The time of a pass.
+
+
+@pytest.mark.parametrize(
+    ("distance", "faster", "top", "seconds"),
+    [
+        (0.0, 2.0, 5.0, 0.0),
+        (-1.0, 2.0, 5.0, 0.0),
+        (4.0, 2.0, 5.0, (math.sqrt(9.6) - 2) / 0.7),  # still gaining speed when it is past
+        (12.0, 6.0, 3.0, 2.0),  # faster than promised already
+        (0.5, 0.0, 3.0, 1 / math.sqrt(0.7)),
+    ],
+)
+def test_a_pass_takes_as_long_as_its_acceleration_and_its_top_speed_have_it(distance, faster, top, seconds):
+    assert pass_time_s(distance, faster, top) == pytest.approx(seconds)
+
+
+# Sideways.
+
+
+@pytest.mark.parametrize(("sine", "half"), [(0.0, 1.0), (0.6, 2.3), (-0.6, 2.3)])
+def test_a_car_askew_takes_up_its_length_too(sine, half):
+    assert half_width(moving(car(1, 0, 0, 0), sine=sine)) == pytest.approx(half)
+
+
+def test_cars_are_apart_by_what_is_between_their_sides():
+    assert aside_m(car(0, 0, 1, 0), car(1, 9, 2, 0, y=7.0)) == 1.0
+    assert aside_m(car(0, 0, 1, 0), car(1, 9, 1, 0, y=2.5)) == -0.5
+
+
+@pytest.mark.parametrize(
+    ("ego", "other", "y", "gap"),
+    [
+        (0.0, 0.0, 8.0, 0.25 + 2 * (0.0625 + 0.015625)),
+        (1.0, 0.0, 8.0, 0.25 + 0.5625 + 0.390625 + 0.078125),
+        (0.0, -1.0, 8.0, 0.25 + 0.5625 + 0.390625 + 0.078125),
+        (-1.0, 0.0, 0.0, 0.25 + 0.5625 + 0.390625 + 0.078125),
+        (0.0, 1.0, 0.0, 0.25 + 0.5625 + 0.390625 + 0.078125),
+        (-1.0, 1.0, 8.0, 0.25),
+    ],
+)
+def test_cars_that_near_each_other_sideways_need_room_to_brake_sideways(ego, other, y, gap):
+    rows = moving(car(0, 0, 1, 9), ego), moving(car(1, 9, 1, 9, y=y), other)
+    assert side_gap(*rows, PLAIN) == pytest.approx(gap)
+
+
+# The end of a lane.
+
+
+@pytest.mark.parametrize(("x", "speed"), [(250.0, math.sqrt(2.4 * 80)), (330.0, 0.0), (340.0, 0.0), (329.0, 2.4**0.5)])
+def test_a_speed_before_the_end_of_a_lane_comes_to_rest_twenty_metres_before(x, speed):
+    assert speed_before_end(situation([car(0, x, 2, 9)], RAMP, 2)) == pytest.approx(speed)
+
+
+# Where other cars are heading.
+
+
+def heading(row: list[float], lanes: Any = HIGHWAY, end: float = 9000.0) -> int:
+    return heads_for(row, lanes, end, 2.0)
+
+
+@pytest.mark.parametrize(("sideways", "lane"), [(0.5, 2), (-0.5, 0), (0.3, 1), (-0.3, 1), (0.0, 1)])
+def test_a_car_that_moves_sideways_heads_for_the_next_lane(sideways, lane):
+    assert heading(moving(car(1, 500, 1, 9, y=4.0 + 3 * sideways), sideways)) == lane
+
+
+@pytest.mark.parametrize(("y", "lane"), [(5.1, 2), (5.0, 2), (4.9, 1)])
+def test_a_car_heads_for_a_lane_that_it_reaches_within_two_seconds(y, lane):
+    # At 0.5 m/s it comes a metre far; the next lane begins at y = 6.
+    assert heading(moving(car(1, 500, 1, 9, y=y), 0.5)) == lane
+
+
+@pytest.mark.parametrize(("lane", "sideways"), [(0, -2.0), (3, 2.0)])
+def test_a_car_that_moves_off_the_road_heads_for_no_other_lane(lane, sideways):
+    assert heading(moving(car(1, 500, lane, 9), sideways)) == lane
+
+
+@pytest.mark.parametrize(("x", "lane"), [(99.0, 1), (100.0, 2), (500.0, 2)])
+def test_nobody_heads_for_a_lane_before_it_begins(x, lane):
+    later = [*HIGHWAY[:2], (8.0, 100.0, *HIGHWAY[2][2:])]
+    assert heading(moving(car(1, x, 1, 9, y=5.9), 1.0), later) == lane
+
+
+@pytest.mark.parametrize(("x", "lane"), [(230.0, 2), (230.5, 1), (349.0, 1)])
+def test_a_car_may_come_out_of_a_ramp_once_that_lies_beside_the_road(x, lane):
+    assert heading(car(1, x, 2, 9), RAMP, 750.0) == lane
+
+
+@pytest.mark.parametrize(("x", "lane"), [(200.0, 2), (200.5, 1)])
+def test_a_car_may_come_out_of_a_lane_from_150_metres_before_its_end(x, lane):
+    ends = [*RAMP[:2], (8.0, 0.0, 350.0, 1.0, 4.0, 20.0, -1e9, 0.0)]
+    assert heading(car(1, x, 2, 9), ends, 750.0) == lane
+
+
+def test_nobody_comes_out_of_the_leftmost_lane_to_the_left():
+    ends = [(0.0, 0.0, 350.0, *LANES[1][3:]), LANES[1]]
+    assert heading(car(1, 349, 0, 9), ends, 3000.0) == 0
+
+
+@pytest.mark.parametrize(("y", "sine", "lane"), [(5.0, 0.6, 2), (3.0, 0.6, 0), (3.0, -0.6, 0), (4.0, 0.6, 1)])
+def test_a_car_askew_heads_for_the_lane_that_it_reaches_into(y, sine, lane):
+    # Askew by 0.6 it is 2.3 m to a side, and the ego that would be there 1 m.
+    assert heading(moving(car(1, 500, 1, 9, y=y), sine=sine)) == lane
+
+
+def test_a_car_hardly_askew_heads_for_its_lane_alone():
+    assert heading(moving(car(1, 500, 1, 9, y=5.9), sine=0.09)) == 1
+
+
+def test_a_car_askew_at_the_edge_heads_for_its_lane_alone():
+    assert heading(moving(car(1, 500, 0, 9, y=-1.9), sine=0.6)) == 0
+    assert heading(moving(car(1, 500, 3, 9, y=13.9), sine=0.6)) == 3
+
+
+# Who is near.
+
+
+def near(*rows: list[float], lanes: Any = HIGHWAY) -> list[int]:
+    found = [7] * (3 * len(lanes))
+    survey([car(0, 500, 1, 9), *rows], lanes, found)
+    return found
+
+
+def test_an_empty_road_has_nobody_near():
+    assert near() == [-1] * 12
+
+
+def test_the_nearest_car_ahead_and_behind_and_facing_is_found_in_each_lane():
+    rows = [car(1, 540, 1, 9), car(2, 520, 1, 9), car(3, 480, 1, 9), car(4, 490, 1, 9), car(5, 500, 2, 9)]
+    assert near(*rows) == [-1, -1, -1, 2, 4, -1, 5, -1, -1, -1, -1, -1]
+    facing = [car(1, 560, 0, -9), car(2, 550, 0, -9), car(3, 495.5, 0, -9), car(4, 495, 0, -9)]
+    assert near(*facing) == [-1, -1, 3, *[-1] * 9]
+
+
+def test_a_car_that_is_not_there_is_not_found():
+    assert near(car(-1, 510, 1, 9), car(0, 520, 1, 9)) == [-1, -1, -1, 2, *[-1] * 8]
+
+
+def test_a_car_that_changes_lanes_is_found_in_both():
+    assert near(moving(car(1, 520, 1, 9, y=5.5), 1.0)) == [-1, -1, -1, 1, -1, -1, 1, *[-1] * 5]
+
+
+# Entering a lane.
+
+
+def test_the_ego_must_leave_a_lane_that_ends_first():
+    ends = situation([car(0, 300, 2, 9)], RAMP, 2)
+    assert must_leave(ends, 1)
+    assert not must_leave(situation([car(0, 300, 1, 9)], RAMP, 1), 0)
+    assert not must_leave(situation([car(0, 300, 1, 9)], RAMP, 1), 2)
+
+
+@pytest.mark.parametrize(("x", "must"), [(619.5, True), (620.0, False), (900.0, False)])
+def test_the_ego_must_leave_a_borrowed_lane_when_an_oncoming_car_is_near(x, must):
+    # 6 s at 9 + 6 m/s and 30 m.
+    assert must_leave(situation([car(0, 500, 0, 9), car(1, x, 0, -6)], LANES, 0), 1) == must
+
+
+def test_the_ego_need_not_leave_a_borrowed_lane_where_nobody_comes():
+    assert not must_leave(situation([car(0, 500, 0, 9)], LANES, 0), 1)
+
+
+def entered(*others: list[float], v: float = 8.0, lanes: Any = HIGHWAY, x: float = 500.0) -> tuple[int, int]:
+    """Whether the ego may enter the lane to its left."""
+    lane = len(lanes) - 1
+    return entry(situation([car(0, x, lane, v), *others], lanes, lane), lane - 1)
+
+
+# To stop behind a lead at 8 m/s from 8 m/s: 4 + 0.125 + 8.5**2 / 8 - 64 / 16 m, and 1.5 m.
+FRONT_M = 4 + 0.125 + 9.03125 - 4 + 1.5
+
+
+@pytest.mark.parametrize(("gap", "reason"), [(FRONT_M - 0.01, (FRONT_GAP, 1)), (FRONT_M + 0.01, (OPEN, -1))])
+def test_the_ego_enters_where_it_can_stop_behind_the_car_ahead(gap, reason):
+    assert entered(car(1, 505 + gap, 2, 8)) == reason
+
+
+def test_a_car_ahead_that_rolls_back_counts_as_standing():
+    need = 4 + 0.125 + 9.03125 + 1.5
+    assert entered(car(1, 505 + need + 0.001, 2, -0.09)) == (OPEN, -1)
+    assert entered(car(1, 505 + need - 0.001, 2, -0.09)) == (FRONT_GAP, 1)
+
+
+SPARED_M = 2 * (5 + 15 + 10 / math.sqrt(15))
+"""Of a follower at 10 m/s when the ego has 8."""
+
+
+@pytest.mark.parametrize(("gap", "reason"), [(SPARED_M - 0.01, (REAR_GAP, 1)), (SPARED_M + 0.01, (OPEN, -1))])
+def test_the_ego_enters_where_the_car_behind_need_hardly_brake(gap, reason):
+    assert entered(car(1, 495 - gap, 2, 10)) == reason
+
+
+@pytest.mark.parametrize(("gap", "reason"), [(13.265, (REAR_GAP, 1)), (13.285, (OPEN, -1))])
+def test_from_a_lane_that_ends_it_enters_where_the_car_behind_can_stop(gap, reason):
+    assert entered(car(1, 295 - gap, 1, 10), lanes=RAMP, x=300.0) == reason
+
+
+def test_the_ego_does_not_enter_before_a_car_that_comes_head_on():
+    assert entered(car(1, 560, 2, -9)) == (ONCOMING, 1)
+
+
+@pytest.mark.parametrize(("x", "reason"), [(229.5, NO_LANE), (230.0, OPEN), (322.0, OPEN), (322.5, NO_LANE)])
+def test_a_change_off_a_ramp_begins_between_its_opening_and_two_seconds_and_twelve_metres_before_its_end(x, reason):
+    assert entered(lanes=RAMP, x=x) == (reason, -1)
+
+
+@pytest.mark.parametrize(("x", "reason"), [(99.5, NO_LANE), (100.0, OPEN)])
+def test_a_lane_is_entered_where_it_has_begun(x, reason):
+    assert entered(lanes=[HIGHWAY[0], (4.0, 100.0, *HIGHWAY[1][2:]), HIGHWAY[2]], x=x) == (reason, -1)
+
+
+@pytest.mark.parametrize(("x", "reason"), [(322.0, OPEN), (322.5, NO_LANE)])
+def test_a_lane_that_ends_is_not_entered_at_its_end(x, reason):
+    ends = [HIGHWAY[0], (4.0, 0.0, 350.0, *HIGHWAY[1][3:]), HIGHWAY[2]]
+    assert entered(lanes=ends, x=x) == (reason, -1)
+
+
+def test_nobody_enters_a_ramp():
+    road = [RAMP[2], (12.0, *RAMP[0][1:])]
+    assert entered(lanes=road, x=100.0) == (NO_LANE, -1)
+
+
+def test_a_change_may_be_given_up_while_the_ego_has_not_left_the_lane():
+    rows = [car(0, 500, 2, 8, y=6.5), car(1, 501, 2, 8)]
+    assert entry(situation(rows, previous=2), 2) == (OPEN, -1)
+    rows[0][8] = 1.0
+    assert entry(situation(rows, previous=2), 2) == (FRONT_GAP, 1)
+
+
+def test_a_change_may_be_given_up_to_a_lane_that_ends():
+    assert entry(situation([car(0, 345, 1, 8, y=5.5)], RAMP, 1, previous=2), 2) == (OPEN, -1)
+
+
+# Passing.
+
+
+def passed(*others: list[float], v: float = 8.0, x: float = 500.0, sight: float = SIGHT_M) -> tuple[int, int]:
+    """Whether the ego, in its own lane of a two-way road, can pass."""
+    return passing(situation([car(0, x, 1, v), *others], LANES, 1, sight=sight), home=1, away=0)
+
+
+# A lead that stands 20 m ahead, centre to centre: 29 m to gain, 3.75 s at 8 m/s (three quarters of the limit less 0 are
+# 6, so that 8 m/s are enough), 2.5 s to return.
+PASS_S = 29 / 8 + 2.5
+
+
+@pytest.mark.parametrize(("metres", "reason"), [(-0.1, (ONCOMING, 2)), (0.1, (OPEN, -1))])
+def test_a_pass_is_over_five_metres_before_an_oncoming_car(metres, reason):
+    assert passed(car(1, 520, 1, 0), car(2, 505 + 29 + 6 * PASS_S + 5 + metres, 0, -6)) == reason
+
+
+@pytest.mark.parametrize(("metres", "reason"), [(-0.1, (ONCOMING, -1)), (0.1, (OPEN, -1))])
+def test_a_pass_is_over_before_who_may_come_from_beyond_sight_at_the_limit(metres, reason):
+    assert passed(car(1, 520, 1, 0), sight=29 + 8 * PASS_S + 5 + 10 + metres) == reason
+
+
+@pytest.mark.parametrize(("metres", "reason"), [(-0.1, (ONCOMING, 2)), (0.1, (OPEN, -1))])
+def test_a_pass_of_a_car_that_moves_is_as_much_longer(metres, reason):
+    # 2 m/s faster now, three quarters of the 2 m/s that the limit leaves or 3 m/s: 3 at last.
+    seconds = (3 - 2) / 0.7 + (29 - (2 * (1 / 0.7) + 0.35 * (1 / 0.7) ** 2)) / 3 + 2.5
+    assert (
+        passed(car(1, 520, 1, 6), car(2, 505 + 29 + 6 * seconds + 6 * seconds + 5 + metres, 0, -6), sight=900) == reason
+    )
+
+
+@pytest.mark.parametrize(("x", "reason"), [(491.0, NOTHING_TO_PASS), (491.1, OPEN)])
+def test_a_car_is_passed_with_four_metres_between(x, reason):
+    assert passed(car(1, x, 1, 0))[0] == reason
+
+
+@pytest.mark.parametrize(("x", "reason"), [(710.0, ONCOMING), (710.5, NO_RETURN)])
+def test_what_is_ahead_of_a_car_near_the_end_of_sight_is_not_known(x, reason):
+    assert passed(car(1, x, 1, 0))[0] == reason
+
+
+# Between two that stand: 5 m of ego, 4 m behind it, 4 m, and what it needs to stop from 6 m/s: 3 + 0.125 + 6.5**2 / 8.
+BETWEEN_M = 5 + 4 + 4 + 3 + 0.125 + 5.28125
+
+
+@pytest.mark.parametrize(("metres", "reason"), [(0.01, OPEN), (-0.01, ONCOMING)])
+def test_two_cars_are_passed_together_where_there_is_no_room_between(metres, reason):
+    two = car(1, 520, 1, 0), car(2, 525 + BETWEEN_M + metres, 1, 0)
+    alone = 505 + 29 + 6 * PASS_S + 5 + 0.1
+    assert passed(*two, car(3, alone, 0, -6))[0] == reason
+
+
+def pulled_out(gap: float, v: float, lead: float) -> tuple[int, int]:
+    return start_pass(situation([car(0, 500, 1, v), car(1, 505 + gap, 1, lead)], LANES, 1, sight=900), 0)
+
+
+@pytest.mark.parametrize(
+    ("gap", "v", "lead", "reason"),
+    [
+        (5.9, 8.0, 6.0, (LEAD, 1)),  # 3 m and 1.5 s of what it gains
+        (6.1, 8.0, 6.0, (OPEN, -1)),
+        (2.9, 5.0, 6.0, (LEAD, 1)),
+        (3.1, 5.0, 6.0, (OPEN, -1)),
+    ],
+)
+def test_nobody_pulls_out_right_behind_a_lead(gap, v, lead, reason):
+    assert pulled_out(gap, v, lead) == reason
+
+
+def test_nobody_pulls_out_with_nothing_to_pass():
+    assert start_pass(situation([car(0, 500, 1, 8)], LANES, 1), 0) == (NOTHING_TO_PASS, -1)
+
+
+def test_a_change_is_given_up_to_the_side_that_it_came_from():
+    rows = [car(0, 500, 1, 8)]
+    assert [back_action(situation(rows, previous=k)) for k in (-1, 0, 2)] == [-1, MetaAction.LEFT, MetaAction.RIGHT]

@@ -1,0 +1,333 @@
+"""Which actions the mask closes, scene by scene on either side of each limit, with a preset of round numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from fast_node.mask.vocabulary import RULES
+from schemas.wire.messages import MetaAction
+from tests.fast_node.mask.test_mutants_formulas import PLAIN, moving
+from tests.mask_scenes import HIGHWAY, LANES, RAMP, car, judge
+
+SLOW_DOWN, CRUISE, SPEED_UP = MetaAction.SLOW_DOWN, MetaAction.CRUISE, MetaAction.SPEED_UP
+LEFT, RIGHT = MetaAction.LEFT, MetaAction.RIGHT
+ALL = (SLOW_DOWN, CRUISE, SPEED_UP, LEFT, RIGHT)
+NEAR, GAP, FRONT, REAR = "lead too close", "speed above the gap's", "front gap in lane", "rear gap in lane"
+CHANGING, ENDS, GIVE_UP_CHANGE = "one change at a time", "lane ends", "give up the change"
+ONCOMING, FINISH, GIVE_UP, NO_LANE = "oncoming traffic", "finish the pass", "give up the pass", "no lane there"
+
+Closed = dict[int, tuple[str, int]]
+
+
+def closed(*rows: list[float], lanes: Any = HIGHWAY, speed: float = 8.0, lane: int = 1, previous: int = -1) -> Closed:
+    """Action to (reason, vehicle)."""
+    rule, vehicle = judge(list(rows), lanes, speed, lane, previous, PLAIN)
+    return {a: (RULES[r], v) for a, (r, v) in enumerate(zip(rule, vehicle, strict=True)) if RULES[r]}
+
+
+def all_but(*opened: int, by: str, who: int) -> Closed:
+    return {int(a): (by, who) for a in ALL if a not in opened}
+
+
+EGO = car(0, 500, 1, 8)
+
+
+def test_an_empty_road_leaves_everything_open():
+    assert closed(EGO) == {}
+
+
+def test_there_is_no_lane_beyond_the_road():
+    assert closed(car(0, 500, 0, 8), lane=0) == {LEFT: (NO_LANE, -1)}
+    assert closed(car(0, 500, 3, 8), lane=3) == {RIGHT: (NO_LANE, -1)}
+
+
+@pytest.mark.parametrize(("previous", "there"), [(0, RIGHT), (2, LEFT)])
+def test_a_second_change_waits_for_the_first(previous, there):
+    assert closed(EGO, previous=previous) == {there: (CHANGING, -1)}
+
+
+# A car ahead. To stop behind one of 8 m/s from 8 m/s: 4 + 6.4 - 4 m.
+
+
+def test_too_near_a_car_ahead_everything_is_closed():
+    assert closed(EGO, car(11, 505 + 7.39, 1, 8)) == all_but(by=NEAR, who=11)
+
+
+def test_just_far_enough_only_the_set_point_is_too_fast():
+    assert closed(EGO, car(11, 505 + 7.41, 1, 8)) == {CRUISE: (GAP, 11), SPEED_UP: (GAP, 11)}
+
+
+@pytest.mark.parametrize(
+    ("speed", "shut"), [(8.0, set()), (8.01, {SPEED_UP}), (9.005, {SPEED_UP}), (9.02, {SPEED_UP, CRUISE})]
+)
+def test_the_set_point_rises_to_what_the_gap_admits(speed, shut):
+    # 2 m short of 3 m and a second: 9 m/s behind 10.
+    assert closed(EGO, car(11, 516, 1, 10), speed=speed) == {int(a): (GAP, 11) for a in shut}
+
+
+def test_the_car_that_admits_the_least_is_named():
+    found = closed(EGO, car(12, 516, 1, 10), car(11, 525, 1, 0), car(13, 517, 1, 10))
+    assert found == {SPEED_UP: (GAP, 11)}
+
+
+@pytest.mark.parametrize(
+    "other", [car(11, 499.9, 1, 8), car(11, 507, 1, -0.11), car(-1, 507, 1, 8), car(11, 507, 3, 8)]
+)
+def test_who_is_behind_or_comes_head_on_or_is_not_there_or_far_aside_is_no_lead(other):
+    assert not {CRUISE, SPEED_UP, SLOW_DOWN} & set(closed(EGO, other))
+
+
+def test_who_rolls_back_is_a_lead_that_stands():
+    assert closed(EGO, car(11, 505 + 11.39, 1, -0.1)) == all_but(by=NEAR, who=11)
+    assert closed(EGO, car(11, 505 + 11.41, 1, -0.1))[CRUISE] == (GAP, 11)
+    assert SLOW_DOWN not in closed(EGO, car(11, 505 + 11.41, 1, -0.1))
+
+
+def test_beside_the_ego_is_ahead_of_it():
+    assert closed(EGO, car(11, 500, 1, 8)) == all_but(by=NEAR, who=11)
+
+
+@pytest.mark.parametrize(
+    ("gap", "lead", "v", "speed", "shut"),
+    [
+        (17.0, 10, 8, 8.0, False),  # as 11 m elsewhere: 9 m/s
+        (17.0, 10, 8, 8.01, True),
+        (5.9, 3, 1, 1.9, False),  # not where they are not there: 2.95 m/s
+        (5.9, 3, 1, 2.0, True),
+        (6.1, 3, 1, 0.0, True),
+    ],
+)
+def test_in_a_lane_that_ends_six_metres_more_are_kept_to_a_car_ahead(gap, lead, v, speed, shut):
+    found = closed(car(0, 240, 2, v), car(11, 245 + gap, 2, lead), lanes=RAMP, lane=2, speed=speed)
+    assert (found.get(SPEED_UP) == (GAP, 11)) == shut
+
+
+# A car ahead in the next lane, 0.25 + 2 * 0.078125 m to be kept at its side.
+
+
+@pytest.mark.parametrize(("y", "shut"), [(6.40, True), (6.41, False)])
+def test_a_car_beside_the_lane_is_in_the_way_where_it_is_too_near_sideways(y, shut):
+    found = closed(EGO, car(11, 510, 2, 8, y=y))
+    assert [found.get(a) == (NEAR, 11) for a in (SLOW_DOWN, CRUISE, SPEED_UP)] == [shut] * 3
+
+
+def test_a_car_beside_the_lane_closes_no_change():
+    found = closed(EGO, car(11, 510, 2, 8, y=6.40))
+    assert LEFT not in found
+    assert found[RIGHT][0] == FRONT
+
+
+@pytest.mark.parametrize(("gap", "reason"), [(6.89, (NEAR, 11)), (6.91, None)])
+def test_a_car_beside_the_lane_may_be_half_a_metre_nearer(gap, reason):
+    assert closed(EGO, car(11, 505 + gap, 2, 8, y=6.40)).get(SLOW_DOWN) == reason
+
+
+@pytest.mark.parametrize(("speed", "shut"), [(8.0, set()), (8.01, {SPEED_UP}), (9.02, {SPEED_UP, CRUISE})])
+def test_a_car_beside_the_lane_is_reached_in_a_second_and_a_half_at_the_earliest(speed, shut):
+    # At 11.5 m a metre less makes 7 m/s more than its 2 m/s.
+    found = closed(EGO, car(11, 516.5, 2, 2, y=6.40), speed=speed)
+    assert {a for a in found if found[a] == (GAP, 11)} == shut
+
+
+@pytest.mark.parametrize(
+    ("y", "sideways", "shut"),
+    [(7.9, -1.0, True), (8.1, -1.0, False), (6.7, -0.4, True), (6.7, -0.3, False), (7.9, 1.0, False)],
+)
+def test_a_car_that_crosses_into_the_lane_within_two_seconds_is_in_it(y, sideways, shut):
+    found = closed(EGO, moving(car(11, 516, 2, 8, y=y), sideways))
+    assert (found.get(SPEED_UP) == (GAP, 11)) == shut
+
+
+def test_a_car_that_crosses_from_the_left_is_in_the_lane_too():
+    found = closed(EGO, moving(car(11, 516, 0, 8, y=0.1), 1.0))
+    assert found[SPEED_UP] == (GAP, 11)
+
+
+# While the ego changes from lane 2 to lane 1.
+
+LEAVES = car(0, 500, 2, 8, y=6.5)
+
+
+def test_the_change_goes_on_but_not_back_behind_a_car_that_is_too_near_there():
+    found = closed(LEAVES, car(11, 511, 2, 8), previous=2)
+    assert found == {**all_but(LEFT, by=NEAR, who=11), LEFT: (CHANGING, -1)}
+
+
+def test_a_change_behind_a_car_that_is_too_near_may_be_given_up_while_they_are_apart():
+    apart = closed(LEAVES, car(11, 511, 1, 8, y=4.15), previous=2)
+    assert RIGHT not in apart
+    assert apart[CRUISE] == (NEAR, 11)
+
+
+@pytest.mark.parametrize("y", [4.3, 4.6])
+def test_a_change_behind_a_car_may_not_be_given_up_where_they_are_not_apart(y):
+    # 6.5 - 4.3 - 2 m are less than the quarter of a metre that they may sway.
+    assert closed(LEAVES, car(11, 511, 1, 8, y=y), previous=2)[RIGHT] == (NEAR, 11)
+
+
+def test_a_change_that_is_mostly_done_is_not_given_up_behind_a_car_that_is_too_near():
+    mostly = car(0, 500, 1, 8, y=5.9)
+    assert closed(mostly, car(11, 511, 1, 8, y=3.55), previous=2)[RIGHT] == (NEAR, 11)
+
+
+# A car behind, while the ego changes. At 10 m/s to the ego's 8: 5 + 10 - 8 m and one more.
+
+
+@pytest.mark.parametrize(("gap", "by"), [(7.99, True), (8.01, False)])
+def test_a_change_before_a_car_that_could_not_stop_is_given_up(gap, by):
+    found = closed(LEAVES, car(11, 495 - gap, 1, 10), previous=2)
+    assert [found.get(a) == (GIVE_UP_CHANGE, 11) for a in (SLOW_DOWN, CRUISE, SPEED_UP)] == [by] * 3
+    assert RIGHT not in found
+
+
+def test_a_change_that_is_mostly_done_is_not_given_up_before_a_car():
+    found = closed(car(0, 500, 1, 8, y=5.5), car(11, 490, 1, 10), previous=2)
+    assert not {SLOW_DOWN, CRUISE, SPEED_UP} & set(found)
+
+
+BESIDE = car(12, 499, 2, 8)
+"""In the lane that the ego has left: no way back."""
+DONE = car(0, 500, 1, 4, y=5.5)
+
+
+@pytest.mark.parametrize(
+    ("speed", "shut"), [(4.9, {SLOW_DOWN, CRUISE}), (5.1, {SLOW_DOWN}), (5.0, {SLOW_DOWN}), (0.0, {SLOW_DOWN, CRUISE})]
+)
+def test_a_change_without_a_way_back_is_finished_and_not_at_a_crawl(speed, shut):
+    found = closed(DONE, car(11, 485, 1, 10), BESIDE, previous=2, speed=speed)
+    assert {a for a in found if found[a] == (REAR, 11)} == shut
+
+
+@pytest.mark.parametrize(("behind", "shut"), [(4.1, True), (4.0, False), (3.0, False)])
+def test_only_before_a_faster_car_is_a_change_finished_without_delay(behind, shut):
+    found = closed(DONE, car(11, 494, 1, behind), BESIDE, previous=2, speed=5.0)
+    assert (found.get(SLOW_DOWN) == (REAR, 11)) == shut
+
+
+def test_a_car_far_behind_leaves_time_to_finish_a_change():
+    assert SLOW_DOWN not in closed(DONE, car(11, 440, 1, 10), BESIDE, previous=2, speed=5.0)
+
+
+def test_with_every_greater_speed_closed_it_may_still_slow_down():
+    found = closed(DONE, car(11, 485, 1, 10), BESIDE, car(13, 511, 1, 3), previous=2, speed=5.0)
+    assert (found[CRUISE], found.get(SLOW_DOWN)) == ((GAP, 13), None)
+
+
+# The end of a lane: the ramp ends at 350 m. To stop from 8 m/s: 4 + 8 m, and 4 m before the end.
+
+BLOCKED = [car(20 + k, 300 + 9 * k, 1, 8) for k in range(-5, 8)]
+
+
+@pytest.mark.parametrize(("x", "shut"), [(333.9, False), (334.1, True)])
+def test_the_ego_stops_where_it_can_just_stop_before_the_end(x, shut):
+    found = closed(car(0, x, 2, 8), *BLOCKED, lanes=RAMP, lane=2, speed=0.0)
+    assert [found.get(a) == (ENDS, -1) for a in (SLOW_DOWN, CRUISE)] == [shut] * 2
+
+
+@pytest.mark.parametrize(
+    ("speed", "shut"), [(3.89, set()), (3.91, {SPEED_UP}), (4.9, {SPEED_UP}), (4.92, {SPEED_UP, CRUISE})]
+)
+def test_the_set_point_comes_down_before_the_end(speed, shut):
+    # 10 m before 20 m before the end: sqrt(2.4 * 10) = 4.899.
+    found = closed(car(0, 320, 2, 1), *BLOCKED, lanes=RAMP, lane=2, speed=speed)
+    assert {a for a in found if found[a] == (ENDS, -1)} == shut
+
+
+def on_the_way(x: float, y: float, v: float) -> Closed:
+    """The ego on its way from the ramp to lane 1."""
+    return closed(car(0, x, 2 if y > 6 else 1, v, y=y), lanes=RAMP, lane=1, previous=2, speed=v)
+
+
+@pytest.mark.parametrize(("x", "shut"), [(325.9, False), (326.1, True)])
+def test_no_way_back_where_there_is_no_room_to_stop_in_it(x, shut):
+    # 4 + 8 m to stop, 8 m for a second, 4 m before the end.
+    assert (on_the_way(x, 5.0, 8.0).get(RIGHT) == (ENDS, -1)) == shut
+
+
+@pytest.mark.parametrize(
+    ("room", "y", "v", "shut"),
+    [
+        (4.29, 7.2, 4.0, True),  # 1.5 m are left: 4 * (0.4 + 0.45 * 1.5) = 4.3 m
+        (4.31, 7.2, 4.0, False),
+        (3.99, 7.2, 4.0, False),  # too late: 2 + 2 m to stop
+        (1.09, 6.2, 1.0, True),  # half a metre is left: 1.1 m
+        (1.11, 6.2, 1.0, False),
+        (1.09, 9.8, 1.0, True),  # on the other side of it
+    ],
+)
+def test_who_moves_out_in_time_does_not_stop_before_the_end(room, y, v, shut):
+    found = on_the_way(346 - room, y, v)
+    assert [found.get(a) == (ENDS, -1) for a in (SLOW_DOWN, CRUISE, SPEED_UP)] == [shut] * 3
+
+
+@pytest.mark.parametrize(("y", "shut"), [(8.0, True), (5.6, False)])
+def test_who_is_out_of_the_way_of_the_end_does_not_stop(y, shut):
+    # Slowly: 1 m/s needs 0.5 + 0.125 m to stop, and 2.2 m for every metre that is left sideways.
+    found = on_the_way(344.5, y, 1.0)
+    assert [found.get(a) == (ENDS, -1) for a in (SLOW_DOWN, CRUISE, SPEED_UP)] == [shut] * 3
+
+
+@pytest.mark.parametrize(("x", "shut"), [(344.2, False), (344.4, True), (345.3, True), (345.4, False)])
+def test_who_is_late_stops_while_there_is_room_to(x, shut):
+    # Room is what is left to 346 m: from a tick and a metre more than 0.625 m down to 0.625 m.
+    found = on_the_way(x, 8.0, 1.0)
+    assert [found.get(a) == (ENDS, -1) for a in (SLOW_DOWN, CRUISE, SPEED_UP)] == [shut] * 3
+
+
+# In the oncoming lane, the ego's lane being 0 and its home 1.
+
+
+def borrowed(*cars: list[float], v: float = 8.0, speed: float = 8.0, x: float = 500.0) -> Closed:
+    return closed(car(0, x, 0, v), *cars, lanes=LANES, lane=0, speed=speed)
+
+
+def test_a_pass_that_can_be_finished_is_left_alone():
+    assert set(borrowed(car(11, 506, 1, 2), car(12, 900, 0, -6))) == {LEFT, RIGHT}
+
+
+@pytest.mark.parametrize(("x", "reason"), [(605, GIVE_UP), (590, ONCOMING)])
+def test_behind_a_lead_that_cannot_be_passed_any_more_the_way_home_is_all_that_is_left(x, reason):
+    found = borrowed(car(11, 540, 1, 8), car(12, x, 0, -6))
+    assert found == {**all_but(LEFT, RIGHT, by=reason, who=12), LEFT: (NO_LANE, -1)}
+
+
+@pytest.mark.parametrize(
+    ("v", "speed", "kept"), [(8.0, 8.0, False), (8.0, 0.5, True), (0.5, 8.0, True), (0.6, 0.6, False)]
+)
+def test_behind_a_lead_that_cannot_be_passed_the_ego_falls_back(v, speed, kept):
+    found = borrowed(car(11, 505, 1, v), car(12, 570, 0, -6), v=v, speed=speed)
+    assert found[SPEED_UP] == (GIVE_UP, 12)
+    assert (CRUISE not in found) == kept
+    assert SLOW_DOWN not in found
+
+
+def test_alongside_a_car_at_home_the_pass_is_finished():
+    found = borrowed(car(11, 502, 1, 6), car(12, 590, 0, -6))
+    assert found[SLOW_DOWN] == (FINISH, 12)
+    assert not {CRUISE, SPEED_UP} & set(found)
+
+
+@pytest.mark.parametrize(("x", "reason"), [(502.4, FINISH), (502.6, None)])
+def test_alongside_is_with_the_front_beyond_the_other_s_middle(x, reason):
+    assert borrowed(car(11, x, 1, 6), car(12, 590, 0, -6)).get(SLOW_DOWN, (None, 0))[0] == reason
+
+
+def test_before_a_car_at_home_that_keeps_the_ego_from_moving_in_the_pass_is_finished():
+    found = borrowed(car(11, 490.5, 1, 8), car(12, 590, 0, -6), car(13, 530, 1, 7))
+    assert (found[RIGHT], found[SLOW_DOWN]) == ((REAR, 11), (FINISH, 12))
+
+
+@pytest.mark.parametrize(("gap", "home"), [(93.9, True), (94.1, False)])
+def test_with_nothing_left_to_pass_the_ego_goes_home_before_somebody_comes(gap, home):
+    # 6 s at 8 + 6 m/s and 10 m.
+    found = borrowed(car(12, 505 + gap, 0, -6))
+    assert [found.get(a) == (ONCOMING, 12) for a in (SLOW_DOWN, CRUISE, SPEED_UP)] == [home] * 3
+
+
+@pytest.mark.parametrize(("gap", "shut"), [(20.89, True), (20.91, False)])
+def test_with_no_way_home_the_ego_stops_before_somebody_who_comes(gap, shut):
+    # 4 + 6.4 m for the ego, which is in the wrong lane; 3 + 4.5 m for the other, and 3 m between.
+    found = borrowed(car(11, 501, 1, 6), car(12, 505 + gap, 0, -6))
+    assert [found.get(a) == (ONCOMING, 12) for a in (CRUISE, SPEED_UP)] == [shut] * 2
