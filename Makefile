@@ -70,7 +70,7 @@ check: setup-dev
 	$(BIN)/lint-imports
 
 # What the tests of mask, choice, codec and coordination notice: reports/mutants.json, and why the rest is let through.
-mutants: setup
+mutants: setup-dev
 	$(BIN)/python -m tests.mutants $(ARGS)
 
 clean:
