@@ -11,8 +11,10 @@ import pytest
 from hypothesis import strategies as st
 
 from fast_node.mask import OPEN, PRESETS, RULES, Preset, close_actions
-from fast_node.mask.neighbours import half_width
+from fast_node.mask.neighbours import half_width, survey
+from fast_node.mask.vocabulary import Situation
 from schemas.driving.road import (
+    HEADING,
     ID,
     LANE_END,
     LANE_LIMIT,
@@ -22,6 +24,7 @@ from schemas.driving.road import (
     LANE_WAY,
     LANE_Y,
     VX,
+    VY,
     X,
     Y,
     lane_table,
@@ -34,6 +37,22 @@ from tests.scenes import car
 SIGHT_M = 250.0
 
 SIM = PRESETS["sim"]
+PLAIN = Preset(
+    reaction_s=0.5,
+    ego_brake=4.0,
+    lead_brake=8.0,
+    standstill_m=3.0,
+    follow_s=1.0,
+    ceiling_reaction_s=0.5,
+    ceiling_brake=4.0,
+    follower_reaction_s=1.0,
+    follower_brake=5.0,
+    courtesy_brake=0.75,
+    side_accel=0.5,
+    side_brake=2.0,
+    sway_m=0.25,
+)
+"""Round numbers, for distances worked out by hand."""
 
 
 ROADS_BY_HAND = {"two-way": by_hand.TWO_WAY, "highway": by_hand.HIGHWAY, "merge": by_hand.MERGE}
@@ -49,6 +68,27 @@ def judge(
     opened = close_actions(rows, lanes, target_speed, lane, previous, SIGHT_M, near, rule, vehicle, preset)
     assert opened == sum(r == OPEN for r in rule)
     return rule, vehicle
+
+
+def situation(
+    rows: list[list[float]],
+    lanes=HIGHWAY,
+    lane: int = 1,
+    previous: int = -1,
+    speed: float = 10.0,
+    preset: Preset = PLAIN,
+    sight: float = SIGHT_M,
+) -> Situation:
+    """What the claims read of a scene; speed: the set-point."""
+    near = [0] * (3 * len(lanes))
+    return Situation(rows, lanes, near, speed, lane, previous, sight, survey(rows, lanes, near), preset)
+
+
+def moving(row: list[float], sideways: float = 0.0, sine: float = 0.0) -> list[float]:
+    """The same car with a motion sideways [m/s] and a heading of this sine."""
+    row = list(row)
+    row[VY], row[HEADING] = sideways, math.asin(sine)
+    return row
 
 
 def closed(rows: list[list[float]], *, target_speed: float = 5.0, lane: int = 1, previous: int = -1) -> dict[int, str]:

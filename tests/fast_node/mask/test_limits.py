@@ -7,9 +7,10 @@ from typing import Any
 import pytest
 
 from fast_node.mask.vocabulary import RULES
+from schemas.driving.road import lane_table
 from schemas.wire.messages import MetaAction
-from tests.fast_node.mask.test_mutants_formulas import PLAIN, moving
-from tests.mask_scenes import HIGHWAY, LANES, RAMP, car, judge
+from tests.mask_scenes import HIGHWAY, LANES, PLAIN, RAMP, judge, moving
+from tests.scenes import car, lane
 
 SLOW_DOWN, CRUISE, SPEED_UP = MetaAction.SLOW_DOWN, MetaAction.CRUISE, MetaAction.SPEED_UP
 LEFT, RIGHT = MetaAction.LEFT, MetaAction.RIGHT
@@ -59,6 +60,11 @@ def test_just_far_enough_only_the_set_point_is_too_fast():
     assert closed(EGO, car(11, 505 + 7.41, 1, 8)) == {CRUISE: (GAP, 11), SPEED_UP: (GAP, 11)}
 
 
+def test_a_gap_of_just_what_is_needed_is_far_enough():
+    # From 10 m/s: 5 + 10 m, less the 4 m of a lead at 8 m/s, and a metre.
+    assert SLOW_DOWN not in closed(car(0, 500, 1, 10), car(11, 505 + 12, 1, 8))
+
+
 @pytest.mark.parametrize(
     ("speed", "shut"), [(8.0, set()), (8.01, {SPEED_UP}), (9.005, {SPEED_UP}), (9.02, {SPEED_UP, CRUISE})]
 )
@@ -96,6 +102,7 @@ def test_beside_the_ego_is_ahead_of_it():
         (17.0, 10, 8, 8.01, True),
         (5.9, 3, 1, 1.9, False),  # not where they are not there: 2.95 m/s
         (5.9, 3, 1, 2.0, True),
+        (6.0, 3, 1, 1.9, False),
         (6.1, 3, 1, 0.0, True),
     ],
 )
@@ -109,45 +116,52 @@ def test_in_a_lane_that_ends_six_metres_more_are_kept_to_a_car_ahead(gap, lead, 
 
 @pytest.mark.parametrize(("y", "shut"), [(6.40, True), (6.41, False)])
 def test_a_car_beside_the_lane_is_in_the_way_where_it_is_too_near_sideways(y, shut):
-    found = closed(EGO, car(11, 510, 2, 8, y=y))
+    found = closed(EGO, car(11, 510, 2, 8, y_m=y))
     assert [found.get(a) == (NEAR, 11) for a in (SLOW_DOWN, CRUISE, SPEED_UP)] == [shut] * 3
 
 
 def test_a_car_beside_the_lane_closes_no_change():
-    found = closed(EGO, car(11, 510, 2, 8, y=6.40))
+    found = closed(EGO, car(11, 510, 2, 8, y_m=6.40))
     assert LEFT not in found
     assert found[RIGHT][0] == FRONT
 
 
 @pytest.mark.parametrize(("gap", "reason"), [(6.89, (NEAR, 11)), (6.91, None)])
 def test_a_car_beside_the_lane_may_be_half_a_metre_nearer(gap, reason):
-    assert closed(EGO, car(11, 505 + gap, 2, 8, y=6.40)).get(SLOW_DOWN) == reason
+    assert closed(EGO, car(11, 505 + gap, 2, 8, y_m=6.40)).get(SLOW_DOWN) == reason
 
 
 @pytest.mark.parametrize(("speed", "shut"), [(8.0, set()), (8.01, {SPEED_UP}), (9.02, {SPEED_UP, CRUISE})])
 def test_a_car_beside_the_lane_is_reached_in_a_second_and_a_half_at_the_earliest(speed, shut):
     # At 11.5 m a metre less makes 7 m/s more than its 2 m/s.
-    found = closed(EGO, car(11, 516.5, 2, 2, y=6.40), speed=speed)
+    found = closed(EGO, car(11, 516.5, 2, 2, y_m=6.40), speed=speed)
     assert {a for a in found if found[a] == (GAP, 11)} == shut
 
 
 @pytest.mark.parametrize(
     ("y", "sideways", "shut"),
-    [(7.9, -1.0, True), (8.1, -1.0, False), (6.7, -0.4, True), (6.7, -0.3, False), (7.9, 1.0, False)],
+    [
+        (7.9, -1.0, True),
+        (8.0, -1.0, False),
+        (8.1, -1.0, False),
+        (6.5, -0.4, True),
+        (6.5, -0.3, False),
+        (7.9, 1.0, False),
+    ],
 )
 def test_a_car_that_crosses_into_the_lane_within_two_seconds_is_in_it(y, sideways, shut):
-    found = closed(EGO, moving(car(11, 516, 2, 8, y=y), sideways))
+    found = closed(EGO, moving(car(11, 516, 2, 8, y_m=y), sideways))
     assert (found.get(SPEED_UP) == (GAP, 11)) == shut
 
 
 def test_a_car_that_crosses_from_the_left_is_in_the_lane_too():
-    found = closed(EGO, moving(car(11, 516, 0, 8, y=0.1), 1.0))
+    found = closed(EGO, moving(car(11, 516, 0, 8, y_m=0.1), 1.0))
     assert found[SPEED_UP] == (GAP, 11)
 
 
 # While the ego changes from lane 2 to lane 1.
 
-LEAVES = car(0, 500, 2, 8, y=6.5)
+LEAVES = car(0, 500, 2, 8, y_m=6.5)
 
 
 def test_the_change_goes_on_but_not_back_behind_a_car_that_is_too_near_there():
@@ -156,26 +170,26 @@ def test_the_change_goes_on_but_not_back_behind_a_car_that_is_too_near_there():
 
 
 def test_a_change_behind_a_car_that_is_too_near_may_be_given_up_while_they_are_apart():
-    apart = closed(LEAVES, car(11, 511, 1, 8, y=4.15), previous=2)
+    apart = closed(LEAVES, car(11, 511, 1, 8, y_m=4.15), previous=2)
     assert RIGHT not in apart
     assert apart[CRUISE] == (NEAR, 11)
 
 
-@pytest.mark.parametrize("y", [4.3, 4.6])
+@pytest.mark.parametrize("y", [4.25, 4.3, 4.6])
 def test_a_change_behind_a_car_may_not_be_given_up_where_they_are_not_apart(y):
-    # 6.5 - 4.3 - 2 m are less than the quarter of a metre that they may sway.
-    assert closed(LEAVES, car(11, 511, 1, 8, y=y), previous=2)[RIGHT] == (NEAR, 11)
+    # 6.5 - 4.25 - 2 m are no more than the quarter of a metre that they may sway.
+    assert closed(LEAVES, car(11, 511, 1, 8, y_m=y), previous=2)[RIGHT] == (NEAR, 11)
 
 
 def test_a_change_that_is_mostly_done_is_not_given_up_behind_a_car_that_is_too_near():
-    mostly = car(0, 500, 1, 8, y=5.9)
-    assert closed(mostly, car(11, 511, 1, 8, y=3.55), previous=2)[RIGHT] == (NEAR, 11)
+    mostly = car(0, 500, 1, 8, y_m=5.9)
+    assert closed(mostly, car(11, 511, 1, 8, y_m=3.55), previous=2)[RIGHT] == (NEAR, 11)
 
 
 # A car behind, while the ego changes. At 10 m/s to the ego's 8: 5 + 10 - 8 m and one more.
 
 
-@pytest.mark.parametrize(("gap", "by"), [(7.99, True), (8.01, False)])
+@pytest.mark.parametrize(("gap", "by"), [(7.99, True), (8.0, False), (8.01, False)])
 def test_a_change_before_a_car_that_could_not_stop_is_given_up(gap, by):
     found = closed(LEAVES, car(11, 495 - gap, 1, 10), previous=2)
     assert [found.get(a) == (GIVE_UP_CHANGE, 11) for a in (SLOW_DOWN, CRUISE, SPEED_UP)] == [by] * 3
@@ -183,13 +197,13 @@ def test_a_change_before_a_car_that_could_not_stop_is_given_up(gap, by):
 
 
 def test_a_change_that_is_mostly_done_is_not_given_up_before_a_car():
-    found = closed(car(0, 500, 1, 8, y=5.5), car(11, 490, 1, 10), previous=2)
+    found = closed(car(0, 500, 1, 8, y_m=5.5), car(11, 490, 1, 10), previous=2)
     assert not {SLOW_DOWN, CRUISE, SPEED_UP} & set(found)
 
 
 BESIDE = car(12, 499, 2, 8)
 """In the lane that the ego has left: no way back."""
-DONE = car(0, 500, 1, 4, y=5.5)
+DONE = car(0, 500, 1, 4, y_m=5.5)
 
 
 @pytest.mark.parametrize(
@@ -220,7 +234,7 @@ def test_with_every_greater_speed_closed_it_may_still_slow_down():
 BLOCKED = [car(20 + k, 300 + 9 * k, 1, 8) for k in range(-5, 8)]
 
 
-@pytest.mark.parametrize(("x", "shut"), [(333.9, False), (334.1, True)])
+@pytest.mark.parametrize(("x", "shut"), [(333.9, False), (334.0, False), (334.1, True)])
 def test_the_ego_stops_where_it_can_just_stop_before_the_end(x, shut):
     found = closed(car(0, x, 2, 8), *BLOCKED, lanes=RAMP, lane=2, speed=0.0)
     assert [found.get(a) == (ENDS, -1) for a in (SLOW_DOWN, CRUISE)] == [shut] * 2
@@ -237,13 +251,24 @@ def test_the_set_point_comes_down_before_the_end(speed, shut):
 
 def on_the_way(x: float, y: float, v: float) -> Closed:
     """The ego on its way from the ramp to lane 1."""
-    return closed(car(0, x, 2 if y > 6 else 1, v, y=y), lanes=RAMP, lane=1, previous=2, speed=v)
+    return closed(car(0, x, 2 if y > 6 else 1, v, y_m=y), lanes=RAMP, lane=1, previous=2, speed=v)
 
 
-@pytest.mark.parametrize(("x", "shut"), [(325.9, False), (326.1, True)])
+@pytest.mark.parametrize(("x", "shut"), [(325.9, False), (326.0, False), (326.1, True)])
 def test_no_way_back_where_there_is_no_room_to_stop_in_it(x, shut):
     # 4 + 8 m to stop, 8 m for a second, 4 m before the end.
     assert (on_the_way(x, 5.0, 8.0).get(RIGHT) == (ENDS, -1)) == shut
+
+
+def test_no_way_back_into_a_leftmost_lane_that_ends():
+    road = lane_table((lane(0, end_m=350.0), lane(1)))
+    found = closed(car(0, 335, 0, 8, y_m=1.0), lanes=road, lane=1, previous=0)
+    assert found[LEFT] == (ENDS, -1)
+
+
+def test_at_the_end_of_the_road_a_change_may_be_given_up():
+    found = closed(car(0, 8980, 2, 8, y_m=6.5), previous=2, speed=0.0)
+    assert RIGHT not in found
 
 
 @pytest.mark.parametrize(
@@ -269,7 +294,7 @@ def test_who_is_out_of_the_way_of_the_end_does_not_stop(y, shut):
     assert [found.get(a) == (ENDS, -1) for a in (SLOW_DOWN, CRUISE, SPEED_UP)] == [shut] * 3
 
 
-@pytest.mark.parametrize(("x", "shut"), [(344.2, False), (344.4, True), (345.3, True), (345.4, False)])
+@pytest.mark.parametrize(("x", "shut"), [(344.2, False), (344.4, True), (345.375, True), (345.4, False)])
 def test_who_is_late_stops_while_there_is_room_to(x, shut):
     # Room is what is left to 346 m: from a tick and a metre more than 0.625 m down to 0.625 m.
     found = on_the_way(x, 8.0, 1.0)
