@@ -21,6 +21,7 @@ import tempfile
 import time
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from types import CodeType
 from typing import Any, NamedTuple
@@ -56,7 +57,10 @@ class Part(NamedTuple):
 
 PARTS = {
     "codec": Part("schemas/wire/codec.py", ("tests/schemas/wire/test_codec.py", "tests/schemas/wire/test_contract.py")),
-    "coordination": Part("fast_node/coordination.py", ("tests/fast_node/test_coordination.py",)),
+    "coordination": Part(
+        "fast_node/coordination.py",
+        ("tests/fast_node/test_coordination.py", "tests/fast_node/test_coordination_reports.py"),
+    ),
     "choice": Part("fast_node/choice.py", ("tests/fast_node/test_choice.py",), digest=True),
     "mask": Part("fast_node/mask/[!_]*.py", ("tests/fast_node/mask",), digest=True),
 }
@@ -74,7 +78,9 @@ class Mutant(NamedTuple):
 
     def source(self) -> str:
         """Of the changed file."""
-        return self.tree.deep_replace(self.mutation.original_node, self.mutation.mutated_node).code  # type: ignore[attr-defined]
+        tree = self.tree.deep_replace(self.mutation.original_node, self.mutation.mutated_node)
+        assert isinstance(tree, cst.Module)
+        return tree.code
 
     def described(self) -> tuple[int, str, str]:
         """The line, the function around it, and what the line was and has become."""
@@ -174,7 +180,7 @@ def judge(mutant: Mutant, part: Part, scenes: Sequence[Any], expected: Sequence[
         code = compile(mutant.source(), mutant.file, "exec")
     except SyntaxError:
         return NO_CODE
-    sys.meta_path.insert(0, Changed(mutant.file, code))  # type: ignore[arg-type]
+    sys.meta_path.insert(0, Changed(mutant.file, code))
     if not tests_pass(part):
         return BY_TESTS
     try:
@@ -206,7 +212,7 @@ def run(name: str) -> tuple[list[Mutant], list[int]]:
     """The mutants of a part and who noticed each."""
     part = PARTS[name]
     with tempfile.NamedTemporaryFile() as found:
-        pid = fork(lambda: learn(part, found.name), 600, loud=True)
+        pid = fork(partial(learn, part, found.name), 600, loud=True)
         if os.waitpid(pid, 0)[1] != 0:
             raise SystemExit(f"{name}: the tests of the unchanged code fail")
         scenes, expected, modules, cpu_s = pickle.load(found)
@@ -223,7 +229,7 @@ def run(name: str) -> tuple[list[Mutant], list[int]]:
     while waiting or running:
         while waiting and len(running) < (os.cpu_count() or 1):
             k = waiting.pop()
-            pid = fork(lambda k=k: judge(mutants[k], part, scenes, expected), 5.0 * cpu_s + 10.0)
+            pid = fork(partial(judge, mutants[k], part, scenes, expected), 5.0 * cpu_s + 10.0)
             running[pid] = k
         pid, status = os.wait()
         # One that loops is ended by the limit of its CPU time.

@@ -3,25 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import Any
 
 import pytest
 
-from fast_node.choice import (
-    BRAKE,
-    CRUISE,
-    DECIDED,
-    HELD,
-    LEFT,
-    MASKED,
-    RIGHT,
-    SLOW_DOWN,
-    SOURCES,
-    SPEED_UP,
-    WISHED,
-    choose,
-    narrow,
-)
-from fast_node.mask.vocabulary import LEAD, NOT_WISHED, OPEN
+from fast_node.choice import DECIDED, HELD, MASKED, SOURCES, WISHED, choose, narrow
+from fast_node.mask.vocabulary import BRAKE, CRUISE, LEAD, LEFT, NOT_WISHED, OPEN, RIGHT, SLOW_DOWN, SPEED_UP
 
 ALL = (SLOW_DOWN, CRUISE, SPEED_UP, LEFT, RIGHT)
 SPEEDS = {SLOW_DOWN, CRUISE, SPEED_UP}
@@ -287,7 +274,7 @@ def test_it_is_told_where_only_the_wish_was_against_it():
     assert chosen((3.0, 1.0, 2.0, 0.0, 0.0), slow_down=LEAD, speed_up=NOT_WISHED) == (CRUISE, MASKED)
 
 
-SHUT = {"slow_down": LEAD, "cruise": LEAD, "speed_up": LEAD, "left": LEAD, "right": LEAD}
+SHUT: dict[str, Any] = {"slow_down": LEAD, "cruise": LEAD, "speed_up": LEAD, "left": LEAD, "right": LEAD}
 
 
 def test_where_all_is_closed_it_brakes():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from schemas.driving.intent import ANY_LANE
@@ -62,7 +64,7 @@ def test_a_directive_that_is_not_newer_is_ignored(follower, number):
 
 def test_a_directive_is_in_force_to_the_end_of_its_time_to_live_and_no_longer(follower):
     short = directive(stamp_ns=NS, target_speed_mps=7.0, target_lane=0, ttl_s=2.0)
-    two_lanes = {"lanes": HIGHWAY, "lane": 1}
+    two_lanes: dict[str, Any] = {"lanes": HIGHWAY, "lane": 1}
     assert follower.at(observation(0, **two_lanes), short, now_s=3.0)[:2] == (0, 7.0)
     late = follower.at(observation(30, **two_lanes), now_s=3.0 + 1e-9)
     assert late == (1, 5, DEFAULT_HEADWAY_S, [(EXPIRED, None, -1, 0, 2.0)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from schemas.wire.messages import EventKind, MetaAction, Reason
@@ -23,7 +25,7 @@ def follower() -> Follower:
 REAR = shut(LEFT, by=Reason.REAR_GAP, vehicle=8)
 FRONT = shut(LEFT, by=Reason.FRONT_GAP, vehicle=9)
 TO_THE_LEFT, TO_THE_RIGHT = directive(target_lane=0), directive(target_lane=3)
-ROAD = {"lanes": HIGHWAY, "lane": 1}
+ROAD: dict[str, Any] = {"lanes": HIGHWAY, "lane": 1}
 
 
 def test_a_change_that_the_mask_holds_back_is_reported_once_with_its_rule_and_vehicle(follower):
@@ -86,6 +88,11 @@ def test_after_its_end_a_directive_delays_nothing(follower):
     follower.at(observation(0, **ROAD), directive(target_lane=0, ttl_s=1.0), FRONT)
     follower.at(observation(30, **ROAD), None, FRONT)
     assert follower.at(observation(31, **ROAD), None, FRONT).told == []
+
+
+def test_once_a_directive_is_fulfilled_it_delays_nothing(follower):
+    assert follower.at(observation(0, lanes=HIGHWAY, lane=0), TO_THE_LEFT).kinds == [FULFILLED]
+    assert follower.at(observation(1, **ROAD), None, FRONT).told == []
 
 
 def test_told_nothing_nothing_is_delayed(follower):

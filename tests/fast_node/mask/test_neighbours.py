@@ -18,7 +18,8 @@ def test_a_car_askew_takes_up_its_length_too(sine, half):
     assert half_width(moving(car(1, 0, 0, 0), sine=sine)) == pytest.approx(half)
 
 
-BEGINS, ENDS = (lane_table((lane(0), lane(1), lane(2, **place))) for place in ({"start_m": 100.0}, {"end_m": 350.0}))
+BEGINS = lane_table((lane(0), lane(1), lane(2, start_m=100.0)))
+ENDS = lane_table((lane(0), lane(1), lane(2, end_m=350.0)))
 
 # Where other cars are heading.
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from schemas.wire.codec import Fault, decode, decode_command, encode
-from schemas.wire.messages import ROW_COLUMNS, ROW_LAYOUT, SCHEMA_VERSION, Command, Lane, Message, Observation
-from schemas.wire.topics import COMMAND, MAX_COMMAND_CHARS, MAX_MESSAGE_BYTES, OBSERVATION, Topic
+from schemas.wire.messages import ROW_COLUMNS, ROW_LAYOUT, SCHEMA_VERSION, Command, Lane, Message, Observation, Thought
+from schemas.wire.topics import COMMAND, MAX_COMMAND_CHARS, MAX_MESSAGE_BYTES, OBSERVATION, THOUGHT, Topic
 
 MAJOR = SCHEMA_VERSION[: SCHEMA_VERSION.index(".")]
 NOT_TEXT = "a command must be plain UTF-8 text"
@@ -59,6 +59,16 @@ def test_a_message_of_one_byte_more_is_not_sent_and_its_type_and_size_are_named(
     assert str(refused.value) == f"Command of {MAX_MESSAGE_BYTES + 1} bytes exceeds {MAX_MESSAGE_BYTES}"
 
 
+def test_a_thought_may_be_as_long_as_its_topic_has_it_and_no_longer():
+    def thought(size: int) -> Thought:
+        plain = Thought(epoch=1, stamp_ns=1, command_id=1, command="", source="", outcome="", reading="x" * 5000)
+        return msgspec.structs.replace(plain, reading="x" * (size - len(encode(plain)) + 5000))
+
+    assert decode(THOUGHT, encode(thought(THOUGHT.max_bytes))) == thought(THOUGHT.max_bytes)
+    with pytest.raises(Fault, match=f"^Thought of {THOUGHT.max_bytes + 1} bytes exceeds {THOUGHT.max_bytes}$"):
+        encode(thought(THOUGHT.max_bytes + 1))
+
+
 def test_a_payload_of_one_byte_more_is_not_read_even_where_it_is_a_message():
     payload = msgspec.msgpack.encode(filled(MAX_MESSAGE_BYTES + 1))
     with pytest.raises(Fault) as refused:
@@ -72,11 +82,16 @@ def test_a_payload_of_another_type_is_refused_naming_the_type_and_the_reason():
 
 
 def test_a_decoder_is_built_once_for_each_type(monkeypatch):
-    class Late(Command, tag="late.v1"):
+    class Late(Command, frozen=True, kw_only=True, tag="late"):
         """A type that no test has decoded yet."""
 
     built, build = [], msgspec.msgpack.Decoder
-    monkeypatch.setattr("msgspec.msgpack.Decoder", lambda kind: built.append(kind) or build(kind))
+
+    def counted(kind: type[Message]) -> msgspec.msgpack.Decoder[Any]:
+        built.append(kind)
+        return build(kind)
+
+    monkeypatch.setattr("msgspec.msgpack.Decoder", counted)
     topic = Topic(name="late", type=Late, publisher="any", hz=None, stale_after_s=1.0, depth=1)
     message = Late(epoch=1, stamp_ns=1, id=1, text="x")
     assert [decode(topic, encode(message)) for _ in range(3)] == [message] * 3
