@@ -56,20 +56,25 @@ class _Delay:
 class Coordination:
     """Follows one directive at a time through an epoch. Pure: time comes with each call."""
 
+    # Set by the first observation of an epoch.
+    _cruise_mps: float
+    _directive: Directive | None
+    _done: bool
+    # Set by each observation.
+    _ego_mps: float
+    _raise_mps: float
+    # Set by each directive that is no renewal.
+    _pass_id: int
+    _eager: bool
+    _since: int
+    _why: Closure | None
+    _change: _Delay | None
+    _speed: _Delay | None
+    _hurries: bool
+
     def __init__(self, default_headway_s: float) -> None:
         self._headway_s = default_headway_s
-        self._epoch = -1
-        self._cruise_mps = 0.0
-        self._directive: Directive | None = None
-        self._done = True
-        self._pass_id = NOBODY
-        self._eager = False
-        self._since = -1
-        self._why: Closure | None = None
-        self._change: _Delay | None = None
-        self._speed: _Delay | None = None
-        self._hurries = False
-        self._ego_mps = self._raise_mps = 0.0
+        self._epoch: int | None = None
 
     def intent(
         self, observation: Observation, rows: Rows, lanes: Lanes, directive: Directive | None, now_ns: int

@@ -1,7 +1,7 @@
 """Mutation testing: `make mutants` changes one thing at a time in what drives and sees whether a test notices.
 
-The changes are mutmut's, at module level, too, and one of our own: a condition that always or never holds. Each mutant
-runs in a fork of a process that has imported everything but our own code: the tests of its part, cheapest first, up to
+The changes are mutmut's, at module level, too, but for those that only types rule out, and one of our own: a condition
+that always or never holds. Each mutant runs in a fork of a process that has imported everything but our own code: the tests of its part, cheapest first, up to
 the first failure, then the digest of behaviour. A digest says "changed", not "unsafe": the report counts its kills
 apart. Survivors are listed with a reason from `mutants.toml`; without one, or above `MOST`, the command fails.
 
@@ -31,7 +31,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 from libcst.metadata import MetadataWrapper, PositionProvider
 from mutmut.mutation.file_mutation import Mutation, MutationVisitor
-from mutmut.mutation.mutators import mutation_operators
+from mutmut.mutation.mutators import mutation_operators, operator_assignment
 from mutmut.mutation.pragma_handling import IgnoredCode
 
 ROOT = Path(__file__).parents[1]
@@ -96,7 +96,12 @@ def outcome_forced(node: cst.If | cst.CompIf) -> Iterable[cst.CSTNode]:
         yield node.with_changes(test=cst.Name(outcome))
 
 
-OPERATORS = [*mutation_operators, (cst.If, outcome_forced), (cst.CompIf, outcome_forced)]
+OPERATORS = [
+    *(operator for operator in mutation_operators if operator[1] is not operator_assignment),
+    (cst.If, outcome_forced),
+    (cst.CompIf, outcome_forced),
+]
+"""`a = None` for `a = b` is left to the type checker, which notices it."""
 
 
 def mutants_of(file: str) -> Iterator[Mutant]:

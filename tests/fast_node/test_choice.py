@@ -171,6 +171,10 @@ def test_the_wished_speed_may_be_kept_and_no_greater_one():
     assert greatest(wish=(ANY, 12.0, 1.0)) == 12.0
 
 
+def test_a_hundredth_above_the_wished_speed_may_be_kept():
+    assert ruled_out(speed=12.0 + 0.01, wish=(ANY, 12.0, 1.0)) == {SPEED_UP}
+
+
 def lead(gap: float, speed: float = 10.0, in_lane: int = 1) -> list[float]:
     """A car of 7 m so far ahead of the ego's 5 m, bumper to bumper."""
     return car(500.0 + gap + 6.0, speed, in_lane)
@@ -258,6 +262,7 @@ def test_what_the_policy_likes_best_is_done(action):
 def test_of_what_it_likes_the_same_the_first_is_done():
     assert chosen((0.0, 1.0, 1.0, 0.0, 1.0)) == (CRUISE, DECIDED)
     assert chosen((0.0, 1.0, 1.0, 0.0, 1.0), cruise=LEAD) == (SPEED_UP, MASKED)
+    assert chosen((1.0, 1.0, 0.0, 0.0, 0.0)) == (SLOW_DOWN, DECIDED)
 
 
 def test_what_is_closed_is_not_done_but_the_next_best():
