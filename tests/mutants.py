@@ -1,9 +1,10 @@
 """Mutation testing: `make mutants` changes one thing at a time in what drives and sees whether a test notices.
 
 The changes are mutmut's, at module level, too, but for those that only types rule out, and one of our own: a condition
-that always or never holds. Each mutant runs in a fork of a process that has imported everything but our own code: the tests of its part, cheapest first, up to
-the first failure, then the digest of behaviour. A digest says "changed", not "unsafe": the report counts its kills
-apart. Survivors are listed with a reason from `mutants.toml`; without one, or above `MOST`, the command fails.
+that always or never holds. Each mutant runs in a fork of a process that has imported everything but our own code: the
+tests of its part, cheapest first, up to the first failure, then the digest of behaviour. A digest says "changed", not
+"unsafe": the report counts its kills apart. Survivors are listed with a reason from `mutants.toml`; without one, or
+above `MOST`, the command fails.
 
     python -m tests.mutants [PART ...]     the parts named, or all; only all of them write the report
 """

@@ -9,7 +9,7 @@ import pytest
 from schemas.driving.intent import ANY_LANE
 from schemas.runtime.clock import NS
 from schemas.wire.messages import Event, EventKind
-from tests.follower import DEFAULT_HEADWAY_S, HIGHWAY, LEAD, OVERTAKE, PASSED, Follower, in_short, observation
+from tests.follower import DEFAULT_HEADWAY_S, HIGHWAY, LEAD, OVERTAKE, PASSED, TWO_WAY, Follower, in_short, observation
 from tests.scenes import car, directive, lane
 
 EXPIRED, FULFILLED = EventKind.EXPIRED, EventKind.FULFILLED
@@ -213,8 +213,9 @@ def test_with_nobody_to_pass_the_own_lane_is_kept(follower):
 
 
 def test_beside_the_leftmost_lane_there_is_none_to_borrow(follower):
-    mirrored = (HIGHWAY[0], lane(1, oncoming=True))
-    assert follower.at(observation(0, car(1, 520, 0, 3), lanes=mirrored, lane=0), OVERTAKE).lane == ANY_LANE
+    mirrored: dict[str, Any] = {"lanes": (HIGHWAY[0], lane(1, oncoming=True)), "lane": 0}
+    assert follower.at(observation(0, car(1, 520, 0, 3), **mirrored), OVERTAKE).lane == ANY_LANE
+    assert follower.at(observation(1, car(1, 480, 0, 3), **mirrored)).lane == ANY_LANE
 
 
 # When a directive is fulfilled.
@@ -321,3 +322,8 @@ def test_with_nobody_to_pass_where_no_lane_is_oncoming_the_speed_will_do(followe
     assert follower.at(observation(0, lanes=HIGHWAY, speed=8.0), OVERTAKE).kinds == [FULFILLED]
     left = Follower()
     assert left.at(observation(0, lanes=HIGHWAY, speed=8.0, lane=0), OVERTAKE).kinds == [FULFILLED]
+
+
+def test_an_oncoming_lane_beyond_the_next_is_not_borrowed(follower):
+    two_of_ours = (TWO_WAY[0], TWO_WAY[1], lane(2, limit_mps=8.0))
+    assert follower.at(observation(0, lanes=two_of_ours, speed=8.0, lane=2), OVERTAKE).kinds == [FULFILLED]

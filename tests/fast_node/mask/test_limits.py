@@ -334,7 +334,7 @@ def test_alongside_a_car_at_home_the_pass_is_finished():
     assert not {CRUISE, SPEED_UP} & set(found)
 
 
-@pytest.mark.parametrize(("x", "reason"), [(502.4, FINISH), (502.6, None)])
+@pytest.mark.parametrize(("x", "reason"), [(502.4, FINISH), (502.5, None), (502.6, None)])
 def test_alongside_is_with_the_front_beyond_the_other_s_middle(x, reason):
     assert borrowed(car(11, x, 1, 6), car(12, 590, 0, -6)).get(SLOW_DOWN, (None, 0))[0] == reason
 
@@ -344,15 +344,17 @@ def test_before_a_car_at_home_that_keeps_the_ego_from_moving_in_the_pass_is_fini
     assert (found[RIGHT], found[SLOW_DOWN]) == ((REAR, 11), (FINISH, 12))
 
 
-@pytest.mark.parametrize(("gap", "home"), [(93.9, True), (94.1, False)])
+@pytest.mark.parametrize(("gap", "home"), [(93.9, True), (94.0, False), (94.1, False)])
 def test_with_nothing_left_to_pass_the_ego_goes_home_before_somebody_comes(gap, home):
     # 6 s at 8 + 6 m/s and 10 m.
     found = borrowed(car(12, 505 + gap, 0, -6))
     assert [found.get(a) == (ONCOMING, 12) for a in (SLOW_DOWN, CRUISE, SPEED_UP)] == [home] * 3
 
 
-@pytest.mark.parametrize(("gap", "shut"), [(20.89, True), (20.91, False)])
-def test_with_no_way_home_the_ego_stops_before_somebody_who_comes(gap, shut):
-    # 4 + 6.4 m for the ego, which is in the wrong lane; 3 + 4.5 m for the other, and 3 m between.
-    found = borrowed(car(11, 501, 1, 6), car(12, 505 + gap, 0, -6))
+@pytest.mark.parametrize(
+    ("v", "gap", "shut"), [(5.0, 15.49, True), (5.0, 15.5, False), (0.0, 10.49, True), (0.0, 10.51, False)]
+)
+def test_with_no_way_home_the_ego_stops_before_somebody_who_comes(v, gap, shut):
+    # 2.5 + 2.5 m for the ego, which is in the wrong lane; 3 + 4.5 m for the other, and 3 m between.
+    found = borrowed(car(11, 501, 1, 6), car(12, 505 + gap, 0, -6), v=v, speed=v)
     assert [found.get(a) == (ONCOMING, 12) for a in (CRUISE, SPEED_UP)] == [shut] * 2
