@@ -169,6 +169,7 @@ def greatest(*cars: list[float], **given: object) -> float:
 
 def test_the_wished_speed_may_be_kept_and_no_greater_one():
     assert greatest(wish=(ANY, 12.0, 1.0)) == 12.0
+    assert ruled_out(speed=12.0 + 0.01, wish=(ANY, 12.0, 1.0)) == {SPEED_UP}
 
 
 def test_a_hundredth_above_the_wished_speed_may_be_kept():
@@ -207,7 +208,7 @@ def test_towards_a_car_that_rolls_back_there_are_five_seconds_to_a_collision():
 
 
 def test_a_car_that_rolls_back_near_the_ego_is_not_approached():
-    assert ruled_out(lead(2.4, speed=-0.05), speed=0.0, wish=(ANY, FAST, 6.0)) == {CRUISE, SPEED_UP}
+    assert ruled_out(lead(2.4, speed=-0.09), speed=0.0, wish=(ANY, FAST, 6.0)) == {CRUISE, SPEED_UP}
 
 
 def test_a_car_that_only_comes_into_the_lane_needs_no_headway():
@@ -260,6 +261,7 @@ def test_what_the_policy_likes_best_is_done(action):
 
 
 def test_of_what_it_likes_the_same_the_first_is_done():
+    assert chosen((1.0, 1.0, 0.0, 0.0, 1.0)) == (SLOW_DOWN, DECIDED)
     assert chosen((0.0, 1.0, 1.0, 0.0, 1.0)) == (CRUISE, DECIDED)
     assert chosen((0.0, 1.0, 1.0, 0.0, 1.0), cruise=LEAD) == (SPEED_UP, MASKED)
     assert chosen((1.0, 1.0, 0.0, 0.0, 0.0)) == (SLOW_DOWN, DECIDED)

@@ -140,6 +140,15 @@ def test_the_ego_must_leave_a_borrowed_lane_when_an_oncoming_car_is_near(x, must
     assert must_leave(situation([car(0, 500, 0, 9), car(1, x, 0, -6)], LANES, 0), 1) == must
 
 
+THREE_LANES = lane_table((lane(0, oncoming=True), lane(1, oncoming=True, limit_mps=8.0), lane(2, limit_mps=8.0)))
+
+
+def test_in_the_second_of_two_oncoming_lanes_it_is_who_comes_there_that_counts():
+    assert must_leave(situation([car(0, 500, 1, 9), car(1, 520, 1, -6)], THREE_LANES, 1), 2)
+    lead, oncoming = car(1, 520, 2, 0), car(2, 540, 1, -6)
+    assert passing(situation([car(0, 500, 2, 8), lead, oncoming], THREE_LANES, 2), home=2, away=1) == (ONCOMING, 2)
+
+
 def test_the_ego_need_not_leave_a_borrowed_lane_where_nobody_comes():
     assert not must_leave(situation([car(0, 500, 0, 9)], LANES, 0), 1)
 

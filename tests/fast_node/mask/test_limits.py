@@ -328,6 +328,12 @@ def test_behind_a_lead_that_cannot_be_passed_the_ego_falls_back(v, speed, kept):
     assert SLOW_DOWN not in found
 
 
+def test_in_the_second_of_two_oncoming_lanes_the_ego_goes_home_before_somebody_comes_there():
+    road = lane_table((lane(0, oncoming=True), lane(1, oncoming=True, limit_mps=8.0), lane(2, limit_mps=8.0)))
+    found = closed(car(0, 500, 1, 8), car(12, 590, 1, -6), lanes=road)
+    assert [found.get(a) == (ONCOMING, 12) for a in (SLOW_DOWN, CRUISE, SPEED_UP)] == [True] * 3
+
+
 def test_alongside_a_car_at_home_the_pass_is_finished():
     found = borrowed(car(11, 502, 1, 6), car(12, 590, 0, -6))
     assert found[SLOW_DOWN] == (FINISH, 12)
