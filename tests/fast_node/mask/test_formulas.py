@@ -19,13 +19,24 @@ from fast_node.mask.vocabulary import (
     NOTHING_TO_PASS,
     ONCOMING,
     OPEN,
+    PRESETS,
     REAR_GAP,
     back_action,
 )
+from fast_node.policies.load import load_policy
 from schemas.driving.road import LANE, lane_table
 from schemas.wire.messages import MetaAction
 from tests.mask_scenes import HIGHWAY, LANES, PLAIN, RAMP, SIGHT_M, moving, situation
 from tests.scenes import car, lane
+
+
+def test_the_presets_have_the_names_that_are_asked_for():
+    assert set(PRESETS) == {"sim", "cautious"}
+
+
+def test_the_shipped_policy_has_learnt_behind_this_version_of_the_mask():
+    load_policy()  # refuses another
+
 
 # Speeds that a gap admits.
 

@@ -60,6 +60,10 @@ def test_just_far_enough_only_the_set_point_is_too_fast():
     assert closed(EGO, car(11, 505 + 7.41, 1, 8)) == {CRUISE: (GAP, 11), SPEED_UP: (GAP, 11)}
 
 
+def test_a_set_point_a_hundredth_above_what_the_gap_admits_may_be_kept():
+    assert CRUISE not in closed(EGO, car(11, 516, 1, 10), speed=9.0 + 0.01)
+
+
 def test_a_gap_of_just_what_is_needed_is_far_enough():
     # From 10 m/s: 5 + 10 m, less the 4 m of a lead at 8 m/s, and a metre.
     assert SLOW_DOWN not in closed(car(0, 500, 1, 10), car(11, 505 + 12, 1, 8))
@@ -124,6 +128,10 @@ def test_a_car_beside_the_lane_closes_no_change():
     found = closed(EGO, car(11, 510, 2, 8, y_m=6.40))
     assert LEFT not in found
     assert found[RIGHT][0] == FRONT
+
+
+def test_a_car_that_is_just_far_enough_aside_is_not_in_the_way():
+    assert not {CRUISE, SPEED_UP, SLOW_DOWN} & set(closed(EGO, car(11, 506.5, 2, 8, y_m=6.40625)))
 
 
 @pytest.mark.parametrize(("gap", "reason"), [(6.89, (NEAR, 11)), (6.91, None)])
@@ -220,6 +228,13 @@ def test_only_before_a_faster_car_is_a_change_finished_without_delay(behind, shu
     assert (found.get(SLOW_DOWN) == (REAR, 11)) == shut
 
 
+@pytest.mark.parametrize(("gap", "shut"), [(11.74, True), (11.75, False)])
+def test_before_a_car_that_can_just_stop_a_change_may_be_finished_slowly(gap, shut):
+    # From 9.5 m/s: 9.5 + 0.25 + 10 m; the ego, from 8 m/s, in 8 m.
+    found = closed(car(0, 500, 1, 8, y_m=5.5), car(11, 495 - gap, 1, 9.5), BESIDE, previous=2)
+    assert (found.get(SLOW_DOWN) == (REAR, 11)) == shut
+
+
 def test_a_car_far_behind_leaves_time_to_finish_a_change():
     assert SLOW_DOWN not in closed(DONE, car(11, 440, 1, 10), BESIDE, previous=2, speed=5.0)
 
@@ -258,6 +273,12 @@ def on_the_way(x: float, y: float, v: float) -> Closed:
 def test_no_way_back_where_there_is_no_room_to_stop_in_it(x, shut):
     # 4 + 8 m to stop, 8 m for a second, 4 m before the end.
     assert (on_the_way(x, 5.0, 8.0).get(RIGHT) == (ENDS, -1)) == shut
+
+
+@pytest.mark.parametrize(("x", "shut"), [(345.0, False), (345.1, True)])
+def test_who_stands_a_metre_before_the_last_moment_may_creep_on(x, shut):
+    found = on_the_way(x, 8.0, 0.0)
+    assert [found.get(a) == (ENDS, -1) for a in (SLOW_DOWN, CRUISE, SPEED_UP)] == [shut] * 3
 
 
 def test_no_way_back_into_a_leftmost_lane_that_ends():
