@@ -93,6 +93,7 @@ def test_a_follower_that_is_spared_little_still_needs_room_to_stop():
     ("distance", "faster", "top", "seconds"),
     [
         (0.0, 2.0, 5.0, 0.0),
+        (0.0, -2.0, 5.0, 0.0),  # past it already, whatever the speed
         (-1.0, 2.0, 5.0, 0.0),
         (4.0, 2.0, 5.0, (math.sqrt(9.6) - 2) / 0.7),  # still gaining speed when it is past
         (12.0, 6.0, 3.0, 2.0),  # faster than promised already

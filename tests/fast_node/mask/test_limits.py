@@ -115,6 +115,12 @@ def test_in_a_lane_that_ends_six_metres_more_are_kept_to_a_car_ahead(gap, lead, 
     assert (found.get(SPEED_UP) == (GAP, 11)) == shut
 
 
+@pytest.mark.parametrize(("y", "shut"), [(6.40, True), (6.40625, False)])
+def test_a_car_at_the_edge_of_the_lane_is_too_near_where_it_is_so_sideways_too(y, shut):
+    # 0.40625 m, side to side.
+    assert (closed(EGO, car(11, 510, 1, 8, y_m=y)).get(SLOW_DOWN) == (NEAR, 11)) == shut
+
+
 # A car ahead in the next lane, 0.25 + 2 * 0.078125 m to be kept at its side.
 
 
@@ -237,6 +243,13 @@ def test_before_a_car_that_can_just_stop_a_change_may_be_finished_slowly(gap, sh
 
 def test_a_car_far_behind_leaves_time_to_finish_a_change():
     assert SLOW_DOWN not in closed(DONE, car(11, 440, 1, 10), BESIDE, previous=2, speed=5.0)
+
+
+@pytest.mark.parametrize(("gap", "shut"), [(11.74, True), (11.75, False)])
+def test_a_change_is_finished_without_delay_only_before_a_car_that_could_not_stop(gap, shut):
+    # From 9.5 m/s: 9.5 + 0.25 + 10 m; the ego, from 8 m/s, in 8 m.
+    found = closed(car(0, 500, 1, 8, y_m=5.5), car(11, 495 - gap, 1, 9.5), BESIDE, previous=2)
+    assert (found.get(SLOW_DOWN) == (REAR, 11)) == shut
 
 
 def test_with_every_greater_speed_closed_it_may_still_slow_down():
