@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from tests.system.test_system import HURRY, ROOT, child_of
+from tests.running import HURRY, ROOT, child_of
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(170)]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

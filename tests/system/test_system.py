@@ -12,15 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.running import HURRY, ROOT, child_of
 from tests.scripted import model_of
 from tests.waiting import until
 
 RUN = [sys.executable, "-m", "deploy", "run", "--port", "0", "--json", "--seed", "3"]
-ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.realtime
-
-
-HURRY = "I'm in a hurry to get to work, I want to drive faster"
 
 
 def start(tmp_path: Path, *more: str, **model_env: str) -> subprocess.Popen[str]:
@@ -29,19 +26,6 @@ def start(tmp_path: Path, *more: str, **model_env: str) -> subprocess.Popen[str]
     return subprocess.Popen(
         [*RUN, *more], cwd=tmp_path, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     )
-
-
-def child_of(parent: int, module: str) -> int:
-    """The pid of a running child process `python -m module`; 0 where there is none."""
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            words = (entry / "cmdline").read_bytes().split(b"\0")
-            ppid = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
-        except OSError:
-            continue
-        if ppid == parent and b"-m" in words and words[words.index(b"-m") + 1] == module.encode():
-            return int(entry.name)
-    return 0
 
 
 def heard(folder: Path) -> bool:

@@ -17,7 +17,7 @@ from deploy.record.encoding import json_schema, to_json
 from deploy.record.export import rows, to_csv
 from deploy.record.reader import METADATA, open_recording
 from schemas.wire.topics import TOPICS
-from tests.system.test_system import child_of
+from tests.running import child_of
 from tests.waiting import until
 
 ROOT = Path(__file__).parents[3]
