@@ -28,7 +28,7 @@ from deploy.run.summary import Summary
 from deploy.run.supervisor import RestartPolicy, Supervisor, catch_signals
 from schemas.runtime.bus import Bus, BusConfig, BusError, open_bus
 from schemas.runtime.clock import NS
-from schemas.runtime.process import CONFIG, FAILED, OK, TRY_AGAIN
+from schemas.runtime.process import CONFIG, FAILED, OK, TRY_AGAIN, ConfigError
 from schemas.runtime.realtime import trial
 from schemas.wire import topics
 from schemas.wire.messages import Command, Status
@@ -51,9 +51,12 @@ def run_system(
     port = options.port or free_port()
     try:
         data_folder().mkdir(parents=True, exist_ok=True)
+        model = choose_model()
+        if options.record:
+            _try_to_write(options.record)
         with open_bus(BusConfig(mode="router", listen=router_endpoints(sockets, port))) as bus:
             folder = new_run_folder()
-            rows = process_table(options, choose_model(), sockets, folder) if table is None else table
+            rows = process_table(options, model, sockets, folder) if table is None else table
             return _Run(options, port, bus, rows, policy, folder).to_its_end()
     except BusError as error:
         if "in use" not in str(error):
@@ -65,6 +68,9 @@ def run_system(
             file=sys.stderr,
         )
         return TRY_AGAIN
+    except ConfigError as error:
+        print(f"fastslow: {error}", file=sys.stderr)
+        return CONFIG
     except OSError as error:
         print(
             f"fastslow: cannot write {error.filename}: {error.strerror}; run it in a folder of your own, and set "
@@ -74,6 +80,14 @@ def run_system(
         return CONFIG
     finally:
         shutil.rmtree(sockets, ignore_errors=True)
+
+
+def _try_to_write(path: Path) -> None:
+    """Raises OSError where no recording can be written: told before the drive, not after it."""
+    there = path.exists()
+    path.open("ab").close()
+    if not there:
+        path.unlink()
 
 
 def new_run_folder() -> Path:

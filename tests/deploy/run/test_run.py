@@ -18,6 +18,8 @@ from deploy.run.processes import Model, Process, RunOptions, free_port, listener
 from deploy.run.status import Live
 from deploy.run.summary import Summary
 from deploy.run.supervisor import RestartPolicy, Supervisor
+from deploy.run.system import run_system
+from schemas.runtime.process import CONFIG
 from schemas.wire.messages import Command, Directive, Event, EventKind, Observation, Reason, Reply, Status
 from tests.waiting import until
 
@@ -371,3 +373,17 @@ def test_the_live_line_shows_what_is_going_on() -> None:
         duration_s=1.5,
     )
     assert "carried out tick 8, oncoming traffic, vehicle 4, for 1.5 s" in (live.event(begun) or "")
+
+
+@pytest.mark.parametrize("mistake", ["model", "recording"])
+def test_a_mistake_about_files_ends_the_start_with_one_line_and_without_a_run_folder(
+    mistake: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("FASTSLOW_DATA", str(tmp_path / "data"))
+    monkeypatch.delenv("OPENAI_API_KEY", raising=False)
+    monkeypatch.setenv("FASTSLOW_GGUF", "/no/such.gguf" if mistake == "model" else "")
+    record = Path("/no/such/x.mcap") if mistake == "recording" else None
+    assert run_system(RunOptions(port=0, record=record)) == CONFIG
+    said = capsys.readouterr().err
+    assert (said.count("\n"), "/no/such" in said, (tmp_path / "runs").exists()) == (1, True, False)
