@@ -14,8 +14,8 @@ from fast_node.node import FastNode
 from fast_node.policies.load import load_policy
 from fast_node.policies.policy import NamedPolicy
 from schemas.driving.road import HZ
-from schemas.runtime.bus import LocalBus
 from schemas.runtime.clock import NS
+from schemas.runtime.local_bus import LocalBus
 from schemas.wire import topics
 from schemas.wire.messages import Action, Directive, Event, EventKind, Observation
 from sim_node.config import SimConfig

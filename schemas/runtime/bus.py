@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -88,7 +87,7 @@ class Bus(Protocol):
         ...
 
 
-class _Decoding(Generic[M]):
+class Decoding(Generic[M]):
     """Decodes what another subscription of bytes yields; counts and drops what cannot be used."""
 
     def __init__(
@@ -261,16 +260,16 @@ class ZenohBus:
         return True
 
     def subscribe(self, topic: Topic[M]) -> Subscription[M]:
-        return _Decoding(self, topic, self.subscribe_bytes(topic))
+        return Decoding(self, topic, self.subscribe_bytes(topic))
 
-    def subscribe_rehearsed(self, topic: Topic[M], rehearse: Callable[[M], None], poll_ns: int = 0) -> _Decoding[M]:
+    def subscribe_rehearsed(self, topic: Topic[M], rehearse: Callable[[M], None], poll_ns: int = 0) -> Decoding[M]:
         """Like `subscribe`, and `wait` also calls `rehearse` with the last message when the next one is announced.
 
         The announcement takes the way of the message, through the same ring, and so wakes all that it will need.
         After one, `wait` polls for `poll_ns` before it sleeps.
         """
         ring = self._ring_on(f"{topic.key}/**", topic.depth)  # a/**: a, a/b, ...
-        return _Decoding(self, topic, ring, rehearse, poll_ns)
+        return Decoding(self, topic, ring, rehearse, poll_ns)
 
     def subscribe_bytes(self, topic: Topic[Any]) -> Subscription[bytes]:
         return self._ring_on(topic.key, topic.depth)
@@ -359,52 +358,3 @@ def open_default(
         subscriber = session.declare_subscriber(into, lambda sample: receive(sample.payload.to_bytes()))
         yield publisher.put
         subscriber.undeclare()  # type: ignore[no-untyped-call]
-
-
-class _LocalRing:
-    def __init__(self, depth: int) -> None:
-        self.ring: deque[bytes] = deque(maxlen=depth)
-        self._newest: bytes | None = None
-
-    def wait(self) -> bytes:
-        if not self.ring:
-            raise BusError("nothing was published: an in-process bus cannot wait")
-        return self.ring.popleft()
-
-    def poll(self, until_ns: int) -> bytes | None:
-        return self.ring.popleft() if self.ring else None
-
-    def take(self) -> list[bytes]:
-        taken = list(self.ring)
-        self.ring.clear()
-        return taken
-
-    def peek(self) -> bytes | None:
-        for payload in self.take():
-            self._newest = payload
-        return self._newest
-
-
-class LocalBus:
-    """The same bus inside one process, delivering at once: for lock-step runs and tests. It really encodes messages."""
-
-    def __init__(self) -> None:
-        self._rings: dict[str, list[_LocalRing]] = {}
-        self.faults: dict[str, int] = {}
-        self.last_fault = ""
-
-    def publish(self, topic: Topic[M], message: M) -> None:
-        self.publish_bytes(topic, encode(message))
-
-    def publish_bytes(self, topic: Topic[Any], payload: bytes) -> None:
-        """Put a payload as it is, as any zenoh publisher could."""
-        for ring in self._rings.get(topic.key, ()):
-            ring.ring.append(payload)
-
-    def subscribe(self, topic: Topic[M]) -> Subscription[M]:
-        return _Decoding(self, topic, self.subscribe_bytes(topic))
-
-    def subscribe_bytes(self, topic: Topic[Any]) -> Subscription[bytes]:
-        ring = _LocalRing(topic.depth)
-        self._rings.setdefault(topic.key, []).append(ring)
-        return ring

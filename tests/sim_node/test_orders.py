@@ -6,8 +6,8 @@ from collections import deque
 
 import pytest
 
-from schemas.runtime.bus import LocalBus
 from schemas.runtime.clock import ManualClock, Schedule
+from schemas.runtime.local_bus import LocalBus
 from schemas.wire import topics
 from schemas.wire.messages import Control, Event, Status
 from sim_node import __main__ as shell

@@ -15,7 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from schemas.runtime.bus import LocalBus, Subscription
+from schemas.runtime.bus import Subscription
+from schemas.runtime.local_bus import LocalBus
 from schemas.wire import topics
 from schemas.wire.messages import Directive, Event, EventKind, Lane, Observation, Reply
 from slow_node.config import SlowConfig

@@ -7,8 +7,8 @@ from typing import Any
 
 from deploy.cockpit.hub import IN_FLIGHT, MAX_BYTES, Hub, Page
 from deploy.cockpit.sources import BusSource
-from schemas.runtime.bus import LocalBus
 from schemas.runtime.clock import NS
+from schemas.runtime.local_bus import LocalBus
 from schemas.wire import topics
 from schemas.wire.messages import Command, Reply
 from tests.cockpit_scene import seen

@@ -12,7 +12,8 @@ from deploy.cockpit.config import CockpitConfig
 from deploy.cockpit.hub import Hub
 from deploy.cockpit.server import ASKS, MAX_PAGES, WEB, Allowance, application
 from deploy.cockpit.sources import BusSource
-from schemas.runtime.bus import LocalBus, Subscription
+from schemas.runtime.bus import Subscription
+from schemas.runtime.local_bus import LocalBus
 from schemas.wire import topics
 from schemas.wire.messages import Command
 

@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 
 from deploy.run.processes import free_port
-from schemas.runtime.bus import BusConfig, BusError, LocalBus, Subscription, ZenohBus, open_bus
+from schemas.runtime.bus import BusConfig, BusError, Subscription, ZenohBus, open_bus
 from schemas.runtime.clock import NS
+from schemas.runtime.local_bus import LocalBus
 from schemas.wire import topics
 from schemas.wire.messages import Command, Directive, Event, EventKind
 from schemas.wire.topics import Topic
