@@ -10,7 +10,7 @@ import typer
 
 DEFAULT_PORT = 7447
 EXITS = (
-    "Exit codes: 0 ok, 1 failed, 2 usage, 69 nobody there, 75 try again (port taken), "
+    "Exit codes: 0 ok, 1 failed, 2 usage, 69 no system there, 75 try again (port taken), "
     "78 bad configuration or model, 130/143 signals."
 )
 Port = Annotated[int, typer.Option(min=1, max=65535, help="TCP port on 127.0.0.1 where the system listens.")]

@@ -11,7 +11,7 @@ class CockpitConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields
     """What `python -m deploy.cockpit` takes."""
 
     host: str = "127.0.0.1"
-    """Where the page is served. Beyond loopback everybody may look, and nobody may speak or steer."""
+    """Where the page is served. Beyond loopback the page is read-only: to look, not to speak or steer."""
     port: int = 8000
     """A free one is taken where this one is held; 0: any free one."""
     polite: bool = True
