@@ -112,7 +112,7 @@ def study(
         bool,
         typer.Option(
             "--quick",
-            help="Our learner only, 10,000 decisions, from the start each time, in --out/quick; exit code 1 if it learns too "
+            help="Our learner only, 10,000 decisions, never resumed, in --out/quick; exit code 1 if it learns too "
             "little.",
         ),
     ] = False,
