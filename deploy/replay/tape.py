@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -104,14 +105,17 @@ class Tape:
     def _starts(self) -> set[int]:
         """Numbers of the actions that a new process sent first.
 
-        A heartbeat tells of it only after some actions. But a process that has died is not back before some ticks have
-        gone unanswered: its first action is the one after the longest silence between the heartbeats of the two.
+        A heartbeat tells of it some actions later, or just before the first. But a process that has died is not back
+        before some ticks have gone unanswered: its first action is the one after the longest silence from the last
+        heartbeat of the old process to the first action that follows the first one of the new.
         """
         starts = set()
+        stamps = [action.stamp_ns for action in self.actions]
         for old, new in pairwise(self.heartbeats):
             if old.pid == new.pid:
                 continue
-            between = [n for n, a in enumerate(self.actions) if n and old.stamp_ns <= a.stamp_ns <= new.stamp_ns]
+            first, last = bisect_left(stamps, old.stamp_ns), bisect_right(stamps, new.stamp_ns)
+            between = range(max(first, 1), min(last + 1, len(stamps)))
             if between:
-                starts.add(max(between, key=lambda n: self.actions[n].stamp_ns - self.actions[n - 1].stamp_ns))
+                starts.add(max(between, key=lambda n: stamps[n] - stamps[n - 1]))
         return starts
