@@ -33,7 +33,7 @@ Lanes = list[tuple[float, ...]]
 
 HEADWAY_SHARE = 0.9
 """A headway is met with this share of it."""
-ASSERTIVE_HEADWAY_S, CALM_HEADWAY_S = 1.0, 2.0
+ASSERTIVE_HEADWAY_S, CALM_HEADWAY_S = 1.2, 2.0
 """Where the directive has a style, but no headway."""
 SLOWER_MPS, SLOWER_S = 1.0, 1.0
 """A speed is delayed once it is farther off than this while the mask allows no faster one for this long."""

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 
-from fast_node.choice import HELD, SOURCES, choose, narrow
+from fast_node.choice import SOURCES, choose, comfortable_mps, hold_off, narrow
 from fast_node.config import FastConfig
 from fast_node.coordination import Coordination
 from fast_node.mask import OPEN, PRESETS, Preset, close_actions
 from fast_node.policies.policy import Policy
+from schemas.driving.actions import held
 from schemas.driving.features import Array, features
 from schemas.driving.intent import ANY_LANE, Intent
-from schemas.driving.road import LANE_END, LANE_WAY, LANE_Y, X, lane_table
+from schemas.driving.road import LANE_END, LANE_WAY, LANE_Y, NOBODY, X, lane_table
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import POLICY_ACTIONS, Action, Closure, Directive, Event, MetaAction, Observation, Reason
 
@@ -26,16 +27,15 @@ class FastNode:
         """`preset`: of the mask; the one that the policy was trained behind."""
         self._config, self._policy, self._preset = config, policy, preset
         self._coordination = Coordination(config.default_headway_s)
-        self._intent: Intent | None = None
-        self._decided_tick = -(10**9)
         self._epoch = -1
+        self._decided_tick, self._held, self._left = -(10**9), int(MetaAction.CRUISE), (NOBODY, 0)
         self.counts = {"ticks": 0, "masked": 0, "fallback": 0, "braked": 0}
 
     def step(self, observation: Observation, directive: Directive | None, now_ns: int) -> tuple[Action, list[Event]]:
         """The action that answers `observation` (compute_ns is left to the shell), and what became of the directive.
 
-        The policy decides once per `decision_ticks`, and at once when the intent changes; in between the set-points
-        hold unless the mask closes that. Whatever fails, even the mask, an action comes out: then the ego slows down.
+        The policy decides once per `decision_ticks`; in between its decision holds unless mask or intent close that.
+        Whatever fails, even the mask, an action comes out: then the ego slows down.
         """
         self.counts["ticks"] += 1
         try:
@@ -46,7 +46,7 @@ class FastNode:
                 epoch=observation.epoch,
                 stamp_ns=now_ns,
                 answers_tick=observation.tick,
-                meta_action=int(MetaAction.SLOW_DOWN if observation.tick % 5 == 0 else MetaAction.CRUISE),
+                meta_action=int(MetaAction.SLOW_DOWN),
                 source="fallback",
                 budget_ns=round(self._config.budget_ms * 1e6),
                 why=f"{type(error).__name__}: {error}"[:120],
@@ -57,7 +57,10 @@ class FastNode:
         rule, vehicle = [0] * 6, [-1] * 6
         lanes = lane_table(observation.lanes)
         near = [0] * (3 * len(lanes))
-        close_actions(
+        if observation.epoch != self._epoch:
+            self._epoch = observation.epoch
+            self._decided_tick, self._held, self._left = -(10**9), int(MetaAction.CRUISE), (NOBODY, 0)
+        cap = close_actions(
             table,
             lanes,
             observation.target_speed_mps,
@@ -75,33 +78,45 @@ class FastNode:
             if rule[a] != OPEN
         )
         intent, events = self._coordination.intent(observation, table, lanes, directive, now_ns)
-        if observation.epoch != self._epoch or intent != self._intent:
-            self._decided_tick = -(10**9)
-        self._epoch, self._intent = observation.epoch, intent
-        source: str
-        probabilities: tuple[float, ...] = ()
-        try:
-            logits = self._logits(observation, table, lanes, intent).tolist()
-            if not math.isfinite(sum(logits)):
-                raise FloatingPointError("non-finite logits")
-            probabilities = softmax(logits)
-            narrowed = rule.copy()
-            narrow(
-                narrowed,
+        cap = min(
+            cap,
+            comfortable_mps(
                 table,
                 near,
                 lanes,
-                observation.target_speed_mps,
                 observation.target_lane,
-                observation.previous_lane,
-                intent.lane,
+                observation.acceleration_mps2,
                 intent.speed_mps,
                 intent.headway_s,
-            )
-            holding = observation.tick - self._decided_tick < self._config.decision_ticks
-            meta, by = choose(logits, narrowed, holding)
-            if by != HELD:
-                self._decided_tick = observation.tick
+            ),
+        )
+        self._left = hold_off(*self._left, observation.target_lane, observation.previous_lane)
+        narrowed = rule.copy()
+        narrow(
+            narrowed,
+            table,
+            near,
+            lanes,
+            observation.target_speed_mps,
+            observation.target_lane,
+            observation.previous_lane,
+            self._left[0] if self._left[1] > 0 else NOBODY,
+            intent.lane,
+            intent.speed_mps,
+            intent.headway_s,
+            cap,
+        )
+        source: str
+        probabilities: tuple[float, ...] = ()
+        try:
+            logits = self._logits(observation, table, lanes, intent, cap, narrowed).tolist()
+            if not math.isfinite(sum(logits)):
+                raise FloatingPointError("non-finite logits")
+            probabilities = softmax(logits)
+            due = observation.tick - self._decided_tick >= self._config.decision_ticks
+            meta, by = choose(logits, narrowed, due, self._held)
+            if due:
+                self._decided_tick, self._held = observation.tick, held(meta)
             source, why = SOURCES[by], ""
         except Exception as error:  # whatever the policy does, the car gets an answer
             meta, source, why = (
@@ -127,10 +142,18 @@ class FastNode:
             closed=closed,
             why=why,
             probabilities=probabilities,
+            speed_cap_mps=cap if math.isfinite(cap) else None,
+            style=getattr(intent, "style", 1),
         ), events
 
     def _logits(
-        self, observation: Observation, table: list[list[float]], lanes: list[tuple[float, ...]], intent: Intent
+        self,
+        observation: Observation,
+        table: list[list[float]],
+        lanes: list[tuple[float, ...]],
+        intent: Intent,
+        cap: float,
+        rule: list[int],
     ) -> Array:
         return self._policy.logits(
             features(
@@ -141,6 +164,9 @@ class FastNode:
                 observation.target_speed_mps,
                 observation.previous_lane >= 0,
                 lanes[observation.target_lane][LANE_END] - table[0][X],
+                cap,
+                rule[MetaAction.LEFT] == OPEN,
+                rule[MetaAction.RIGHT] == OPEN,
             )
         )
 

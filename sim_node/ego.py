@@ -40,6 +40,10 @@ class EgoVehicle(Vehicle):  # type: ignore[misc]
         self.previous_lane = -1
         self.speed_goal = math.nan
         """A speed step of the coming tick stops here, in m/s; nan: no goal."""
+        self.speed_cap = math.inf
+        """It drives no faster than this, in m/s, until another is given."""
+        self.style = 1
+        """0 calm, 1 normal, 2 assertive."""
         self.meta = int(MetaAction.CRUISE)
         self.acceleration = 0.0
         """What the last tick did to the speed, in m/s2."""
@@ -59,6 +63,7 @@ class EgoVehicle(Vehicle):  # type: ignore[misc]
                 self.speed_goal,
                 ego.speed_floor_mps,
                 ego.speed_ceiling_mps,
+                self.speed_cap,
             )
             return
         speed = float(self.speed)
@@ -68,7 +73,7 @@ class EgoVehicle(Vehicle):  # type: ignore[misc]
                 float(self.position[1]), float(self.heading), speed, y_target, lane_heading
             ),
             "acceleration": executor.acceleration_command(
-                speed, self.target_speed, self.acceleration, self.meta, self.dt
+                speed, min(self.target_speed, self.speed_cap), self.acceleration, self.meta, self.style, self.dt
             ),
         }
 

@@ -14,6 +14,7 @@ from highway_env.envs.common.observation import ObservationType
 from highway_env.road.road import Road
 from numpy.typing import NDArray
 
+from schemas.driving.actions import held
 from schemas.driving.features import BOUND, FEATURES, N_ROWS, features
 from schemas.driving.intent import ANY_LANE, Intent
 from schemas.driving.road import HZ
@@ -41,7 +42,7 @@ class _Features(ObservationType):  # type: ignore[misc]
     def observe(self) -> NDArray[np.float32]:
         env: ScenarioEnv = self.env
         wish, ego = env.wish, env.ego
-        lanes = env.published_lanes()
+        lanes, able = env.published_lanes(), env.action_masks()
         return features(
             env.seen().tolist(),
             math.nan if wish.lane == ANY_LANE else lanes[wish.lane].y_m,
@@ -50,6 +51,9 @@ class _Features(ObservationType):  # type: ignore[misc]
             ego.target_speed,
             ego.previous_lane >= 0,
             lanes[ego.target_lane].end_m - float(ego.position[0]),
+            ego.speed_cap,
+            bool(able[MetaAction.LEFT]),
+            bool(able[MetaAction.RIGHT]),
         )
 
 
@@ -176,19 +180,23 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
 
     def step(self, action: int) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One decision: the action at its first tick, then the set-points hold; the guard watches every tick."""
-        effort, distance, braked = 0.0, float(self.ego.position[0]), False
+        effort, jolt, distance, braked = 0.0, 0.0, float(self.ego.position[0]), False
         for k in range(self._ticks_per_decision):
-            meta = int(action) if k == 0 else int(MetaAction.CRUISE)
+            meta = int(action) if k == 0 else held(int(action))
             if self.guard is not None:
                 meta = self.guard(self, meta)
             braked = braked or meta == MetaAction.EMERGENCY_BRAKE
+            before = self.ego.acceleration
             self.tick(meta)
+            jolt += ((self.ego.acceleration - before) * self.hz) ** 2
             effort += self.ego.acceleration**2
             if self._is_terminated():
                 break
         seconds = (k + 1) / self.hz
         speed = (float(self.ego.position[0]) - distance) / seconds
-        worth = earned(self.rows(), self.ego, self.wish, int(action), speed, effort / (k + 1), braked, seconds)
+        worth = earned(
+            self.rows(), self.ego, self.wish, int(action), speed, effort / (k + 1), jolt / (k + 1), braked, seconds
+        )
         self._wishes.follow(self.rows().tolist(), self.ego.target_lane, self._ticks_per_decision / self.hz)
         observation = self.observation_type.observe()
         if self.render_mode == "human":

@@ -100,6 +100,7 @@ def earned(
     action: int,
     speed: float,
     accel_square: float,
+    jerk_square: float,
     braked: bool,
     seconds: float,
 ) -> float:
@@ -114,7 +115,8 @@ def earned(
             one(wish.speed_mps),
             0.5 * ego.scenario.ego.speed_ceiling_mps,
             one(accel_square),
-            one(action != MetaAction.CRUISE),
+            one(jerk_square),
+            one(action >= MetaAction.LEFT),
             one(wish.lane in (ANY_LANE, ego.target_lane)),
             one(ttc),
             one(short),

@@ -9,13 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from schemas.driving.measures import (
-    CAR_LENGTH_M,
-    EGO_ACCEL_MAX_MPS2,
-    EGO_BRAKE_MAX_MPS2,
-    LANE_CHANGE_DONE_M,
-    SPEED_STEP_MPS,
-)
+from schemas.driving.measures import CAR_LENGTH_M, EGO_BRAKE_MAX_MPS2, LANE_CHANGE_DONE_M, SPEED_STEP_MPS
 from schemas.wire.messages import MetaAction
 from sim_node.scenarios.scenario import GATE_END, GATE_OPENS, GATE_RAMP, GATE_START
 
@@ -28,7 +22,9 @@ EMERGENCY_BRAKE = int(MetaAction.EMERGENCY_BRAKE)
 
 SPEED_GAIN_PER_S = 1.0
 """Acceleration per speed error: an error of 2.5 m/s brakes with 2.5 m/s2."""
-JERK_UP_MPS3 = 3.0
+STYLE_ACCEL_MPS2 = (1.2, 1.8, 2.5)
+STYLE_JERK_UP_MPS3 = (1.0, 2.0, 3.0)
+"""How a calm, a normal and an assertive ride speed up."""
 JERK_DOWN_MPS3 = 4.0
 COMFORT_BRAKE_MPS2 = 3.0
 BRAKE_RELEASE_JERK_MPS3 = 12.0
@@ -65,16 +61,19 @@ def edit_set_points(
     speed_goal: float,
     speed_floor: float,
     speed_ceiling: float,
+    speed_cap: float,
 ) -> tuple[float, int, int]:
     """Apply one meta-action once: (target speed in m/s, target lane, previous lane or -1).
 
     A speed step towards `speed_goal` (m/s; nan: none) stops at it. Steps stay within [`speed_floor`, `speed_ceiling`].
+    SLOW_DOWN steps down from the speed that `speed_cap` (m/s; inf: none) admits, so that it always slows down.
     While a lane change is under way (`previous_lane` >= 0) the same direction is ignored and the opposite gives it up.
     gates: (L, 4) as `Scenario.gates`; a change needs a lane beside the ego at `x` (m).
     """
     if meta == SLOW_DOWN:
-        stepped = max(target_speed - SPEED_STEP_MPS, speed_floor)
-        if stepped < speed_goal < target_speed:  # false for nan
+        admitted = min(target_speed, max(speed_cap, speed_floor))
+        stepped = max(admitted - SPEED_STEP_MPS, speed_floor)
+        if stepped < speed_goal < admitted:  # false for nan
             stepped = speed_goal
         return stepped, target_lane, previous_lane
     if meta == SPEED_UP:
@@ -93,20 +92,24 @@ def edit_set_points(
     return target_speed, target_lane, previous_lane
 
 
-def acceleration_command(speed: float, target_speed: float, last_accel: float, meta: int, dt: float) -> float:
-    """Longitudinal acceleration for the next `dt` s, in [-6, 3] m/s2; never drives backwards.
+def acceleration_command(
+    speed: float, target_speed: float, last_accel: float, meta: int, style: int, dt: float
+) -> float:
+    """Longitudinal acceleration for the next `dt` s, in [-6, 2.5] m/s2; never drives backwards.
 
-    Proportional to the speed error with bounded jerk; EMERGENCY_BRAKE brakes fully at once.
+    Proportional to the speed error with bounded jerk; EMERGENCY_BRAKE brakes fully at once. style: 0 calm, 1 normal,
+    2 assertive (`STYLE_ACCEL_MPS2`).
     """
     if meta == EMERGENCY_BRAKE:
         accel = -EGO_BRAKE_MAX_MPS2
     else:
-        up = last_accel + JERK_UP_MPS3 * dt
+        jerk = STYLE_JERK_UP_MPS3[style]
+        up = last_accel + jerk * dt
         if last_accel < -COMFORT_BRAKE_MPS2:
-            up = min(last_accel + BRAKE_RELEASE_JERK_MPS3 * dt, -COMFORT_BRAKE_MPS2 + JERK_UP_MPS3 * dt)
+            up = min(last_accel + BRAKE_RELEASE_JERK_MPS3 * dt, -COMFORT_BRAKE_MPS2 + jerk * dt)
         accel = SPEED_GAIN_PER_S * (target_speed - speed)
         accel = min(max(accel, last_accel - JERK_DOWN_MPS3 * dt), up)
-        accel = min(max(accel, -EGO_BRAKE_MAX_MPS2), EGO_ACCEL_MAX_MPS2)
+        accel = min(max(accel, -EGO_BRAKE_MAX_MPS2), STYLE_ACCEL_MPS2[style])
     # Standstill ends any braking: the car stops within this tick and does not roll back.
     return max(accel, -max(speed, 0.0) / dt)
 

@@ -13,6 +13,7 @@ from schemas.driving.road import LANE
 from schemas.wire.messages import Action, Event, EventKind, MetaAction, Observation
 from sim_node.config import SimConfig
 from sim_node.env import ScenarioEnv
+from sim_node.executor import STYLE_ACCEL_MPS2
 from sim_node.metrics import Recorder
 
 HOLD_TICKS = 2
@@ -134,6 +135,8 @@ class SimNode:
             meta = MetaAction(action.meta_action)
             if action.speed_goal_mps is not None:
                 ego.speed_goal = action.speed_goal_mps
+            ego.speed_cap = math.inf if action.speed_cap_mps is None else action.speed_cap_mps
+            ego.style = action.style
             self._applied_tick = action.answers_tick
             self._unanswered = 0
             self.metrics.answered += 1
@@ -165,6 +168,8 @@ class SimNode:
             action.epoch == self.epoch
             and max(self.tick - HOLD_TICKS, self._applied_tick + 1) <= action.answers_tick <= self.tick
             and 0 <= action.meta_action < len(MetaAction)
+            and 0 <= action.style < len(STYLE_ACCEL_MPS2)
+            and not (action.speed_cap_mps is not None and math.isnan(action.speed_cap_mps))
         )
 
     def _measure(self) -> None:

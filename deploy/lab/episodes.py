@@ -116,9 +116,8 @@ def by_the_tick(fleet: Fleet, logits: Logits) -> Step:
 
 
 def by_the_second(fleet: Fleet, logits: Logits) -> Step:
-    """As one that knows no mask has learnt to: a decision a second, held in between."""
-    hold = np.full(len(fleet.wish), int(MetaAction.CRUISE))
-    return unasked(fleet, lambda tick: logits(fleet.observe()).argmax(-1) if tick % DECISION_TICKS == 0 else hold)
+    """As one that knows no mask has learnt to."""
+    return by_the_tick(fleet, logits)
 
 
 def unasked(fleet: Fleet, act: Callable[[int], NDArray[np.int64]]) -> Step:
@@ -127,7 +126,7 @@ def unasked(fleet: Fleet, act: Callable[[int], NDArray[np.int64]]) -> Step:
 
     def step(tick: int) -> NDArray[np.bool_]:
         fleet.look()
-        fleet.world.tick(act(tick), fleet.v_des)
+        fleet.world.tick(act(tick), fleet.v_des, fleet.cap_mps)
         return never
 
     return step

@@ -10,10 +10,10 @@ _INSTEAD = (MetaAction.CRUISE, MetaAction.SLOW_DOWN, MetaAction.SPEED_UP, MetaAc
 
 
 def safety_mask(env: ScenarioEnv, meta: int) -> int:
-    """The action itself if the mask leaves it open, else the mildest open one, else EMERGENCY_BRAKE."""
+    """Caps the speed; the action itself if the mask leaves it open, else the mildest open one, else EMERGENCY_BRAKE."""
     ego, lanes = env.ego, lane_table(env.published_lanes())
     rule, vehicle = [0] * 6, [-1] * 6
-    close_actions(
+    ego.speed_cap = close_actions(
         env.seen().tolist(),
         lanes,
         ego.target_speed,

@@ -56,7 +56,7 @@ def settle_change(s: Situation, rule: Any, vehicle: Any) -> None:
     p, ego, other = s.preset, s.rows[0], s.rows[behind]
     gap = gap_between(other, ego)
     if rule[back_action(s)] == OPEN:
-        need = 1.0 + rss_same_direction_m(other[VX], ego[VX], p.reaction_s, 0.0, p.follower_brake, p.ego_brake)
+        need = 1.0 + rss_same_direction_m(other[VX], ego[VX], p.reaction_s, 0.0, p.follower_brake, p.shown_brake)
         if int(ego[LANE]) == s.previous and gap < need:
             for a in SPEEDS:
                 close(rule, vehicle, a, GIVE_UP_CHANGE, behind)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from fast_node.mask.changing import change_lanes, settle_change
-from fast_node.mask.gaps import keep_below, keep_gaps
+from fast_node.mask.gaps import keep_below, keep_gaps, slow_firmly
 from fast_node.mask.lane_end import speed_before_end, stop_before_end
 from fast_node.mask.neighbours import survey
 from fast_node.mask.passing import settle_pass
@@ -25,8 +25,9 @@ def close_actions(
     rule: Any,
     vehicle: Any,
     p: Preset,
-) -> int:
-    """Write the reason that closes each action (`OPEN`: none) and the vehicle's id; return how many actions are open.
+) -> float:
+    """Write the reason that closes each action (`OPEN`: none) and the vehicle's id; return the speed cap [m/s]: the
+    highest speed that the cars ahead and the lane's end admit now, whatever the action (inf: they do not matter).
 
     rows: (V, 9) as `ROW_COLUMNS`, ego first, id < 0 for an absent vehicle; lanes: (L, 8) as `lane_table`; sight [m];
     near: (3 L,) output of `survey`; rule, vehicle: (6,) outputs. EMERGENCY_BRAKE is always open. Vehicle -1 beside a
@@ -38,23 +39,15 @@ def close_actions(
     s = Situation(rows, lanes, near, target_speed, target_lane, previous_lane, sight, road_end, p)
     change_lanes(s, rule, vehicle)
     ceiling, lead = keep_gaps(s, rule, vehicle)
-    end_ceiling = speed_before_end(s)
-    if end_ceiling < ceiling:
-        keep_below(s, end_ceiling, LANE_ENDS, -1, rule, vehicle)
+    cap = min(ceiling, speed_before_end(s))
+    if cap < ceiling:
+        keep_below(s, cap, LANE_ENDS, -1, rule, vehicle)
     else:
-        keep_below(s, ceiling, SPEED_FOR_GAP, lead, rule, vehicle)
+        keep_below(s, cap, SPEED_FOR_GAP, lead, rule, vehicle)
     stop_before_end(s, rule, vehicle)
     settle_change(s, rule, vehicle)
     settle_pass(s, rule, vehicle)
-    return name_vehicles(rows, rule, vehicle)
-
-
-def name_vehicles(rows: Any, rule: Any, vehicle: Any) -> int:
-    """Turn row indices in `vehicle` into ids; return how many actions are open, EMERGENCY_BRAKE among them."""
-    opened = 1
-    for a in range(POLICY_ACTIONS):
+    for a in range(POLICY_ACTIONS):  # from row indices to ids
         if vehicle[a] >= 0:
             vehicle[a] = int(rows[int(vehicle[a])][ID])
-        if rule[a] == OPEN:
-            opened += 1
-    return opened
+    return slow_firmly(s, cap, rule)

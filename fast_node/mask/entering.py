@@ -2,7 +2,7 @@
 behind can stop, or need hardly brake, for the ego.
 
 RSS Definition 1 to both. Assumed: a follower reacts `follower_reaction_s` after the ego comes in, later for one at
-walking pace, then brakes with `follower_brake`, and takes the ego to brake with `ego_brake` at most (an emergency brake
+walking pace, then brakes with `follower_brake`, and takes the ego to brake with `shown_brake` at most (an emergency brake
 exceeds that). Where the change can wait, it is spared more than `courtesy_brake` as an IDM driver (MOBIL's b_safe).
 """
 
@@ -42,7 +42,7 @@ def follower_gap(behind_mps: float, ego_mps: float, must: bool, p: Preset) -> fl
     """Gap [m] that a car behind needs when the ego comes in before it: to be able to stop (RSS), and, unless the ego
     `must` leave its lane, not to have to brake harder than the courtesy brake as an IDM driver."""
     reaction_s = p.follower_reaction_s + FOLLOWER_BLIND_S * max(0.0, 1.0 - ego_mps / CREEP_MPS)
-    need = rss_same_direction_m(behind_mps, ego_mps, reaction_s, 0.5, p.follower_brake, p.ego_brake)
+    need = rss_same_direction_m(behind_mps, ego_mps, reaction_s, 0.5, p.follower_brake, p.shown_brake)
     if not must:
         closing = behind_mps - ego_mps
         wanted = IDM_GAP_M + behind_mps * IDM_TIME_S + behind_mps * closing / (2.0 * math.sqrt(IDM_ACCEL * IDM_BRAKE))

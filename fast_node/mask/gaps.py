@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from fast_node.mask.neighbours import CUT_IN_MPS, CUT_IN_S, half_width
+from fast_node.mask.neighbours import CUT_IN_S, drifts, half_width, settles_at
 from fast_node.mask.vocabulary import (
     CRUISE,
     LEAD,
@@ -25,11 +25,13 @@ from fast_node.mask.vocabulary import (
     close,
     close_again,
 )
-from schemas.driving.measures import gap_m, rss_lateral_m, rss_same_direction_m
+from schemas.driving.measures import INF, SPEED_STEP_MPS, gap_m, rss_lateral_m, rss_same_direction_m
 from schemas.driving.road import AGAINST_MPS, ID, LANE, LANE_END, LANE_Y, LENGTH, VX, VY, WIDTH, X, Y
 from schemas.wire.messages import POLICY_ACTIONS
 
 FOLLOW_GAIN = 0.5
+FIRM_MPS = 5.0
+"""The executor brakes with its gain times this much below its speed."""
 LEAVE_M = 6.0
 """So much more room is kept to a car ahead in a lane that ends: it may stop there, and then one must get by."""
 
@@ -46,38 +48,40 @@ def allowed_speed(gap: float, lead_mps: float, p: Preset) -> float:
     return max(0.0, min(follow, stop))
 
 
-def aside_m(ego: Any, row: Any) -> float:
-    """Distance [m] between the ego and another car, side to side; negative where they overlap across the road."""
-    apart: float = abs(row[Y] - ego[Y]) - half_width(row) - half_width(ego)
-    return apart
+def aside_m(ego: Any, row: Any, lanes: Any) -> float:
+    """Distance [m] between the ego and another car, side to side, now or where the other's motion sideways ends:
+    whichever is less; negative where they overlap across the road."""
+    apart = min(abs(row[Y] - ego[Y]), abs(settles_at(row, lanes) - ego[Y]))
+    return apart - half_width(row) - half_width(ego)
 
 
 def side_gap(ego: Any, row: Any, p: Preset) -> float:
-    """Distance [m], side to side, from which the ego and another car can both stay apart (RSS Definition 6)."""
+    """Distance [m], side to side, from which the ego and another car can both stay apart (RSS Definition 6). Where the
+    other's own motion ends `aside_m` knows."""
     towards = 1.0 if row[Y] > ego[Y] else -1.0
-    return rss_lateral_m(towards * ego[VY], -towards * row[VY], p.reaction_s, p.side_accel, p.side_brake, p.sway_m)
+    return rss_lateral_m(towards * ego[VY], 0.0, p.reaction_s, p.side_accel, p.side_brake, p.sway_m)
 
 
 def keep_gaps(s: Situation, rule: Any, vehicle: Any) -> tuple[float, int]:
-    """Close what the cars ahead make unsafe at once; return the highest set-point [m/s] that they admit, at most a step
-    above today's, and the row of the car that it is for (-1: none)."""
+    """Close what the cars ahead make unsafe at once; return the highest speed [m/s] that they admit (inf: any), and the
+    row of the car that it is for (-1: none)."""
     p, ego = s.preset, s.rows[0]
     x, v, lane_y = ego[X], ego[VX], s.lanes[s.lane][LANE_Y]
     lane_ends = s.lanes[s.lane][LANE_END] < s.road_end
-    ceiling, slower = s.target_speed + 1.0, -1  # a higher one closes nothing
+    ceiling, slower = INF, -1
     for i in range(1, len(s.rows)):
         row = s.rows[i]
         if row[ID] < 0 or row[X] < x or row[VX] < AGAINST_MPS:
             continue
         leaving = int(row[LANE]) != s.lane
-        if leaving and row[VY] * (lane_y - row[Y]) > 0.0 and abs(row[VY]) > CUT_IN_MPS:
+        if abs(int(row[LANE]) - s.lane) == 1 and row[VY] * (lane_y - row[Y]) > 0.0 and drifts(row, s.lanes):
             leaving = abs(lane_y - row[Y]) - CUT_IN_S * abs(row[VY]) >= 0.5 * (row[WIDTH] + ego[WIDTH])
         gap, lead_v = gap_m(x, row[X], ego[LENGTH], row[LENGTH]), max(row[VX], 0.0)
         need = rss_same_direction_m(v, lead_v, p.reaction_s, 0.0, p.ego_brake + 1.0, p.lead_brake)
         too_near = gap < (0.5 if leaving else 1.0) + need
         spare = gap - LEAVE_M if gap > LEAVE_M and lane_ends else gap
         limit = lead_v + (gap - 1.0) / 1.5 if leaving else allowed_speed(spare, lead_v, p)
-        if (not too_near and limit >= ceiling) or (leaving and aside_m(ego, row) >= side_gap(ego, row, p)):
+        if (not too_near and limit >= ceiling) or (leaving and aside_m(ego, row, s.lanes) >= side_gap(ego, row, p)):
             continue
         if too_near:
             keep_clear(s, i, leaving, rule, vehicle)
@@ -92,7 +96,7 @@ def keep_clear(s: Situation, i: int, leaving: bool, rule: Any, vehicle: Any) -> 
     leaving: it is only in the way as long as the ego has not left the lane.
     """
     ego, row, p = s.rows[0], s.rows[i], s.preset
-    aside = aside_m(ego, row)
+    aside = aside_m(ego, row, s.lanes)
     if aside >= side_gap(ego, row, p):
         return
     # While the two are still apart sideways the change may be given up; leaving a lane may go on, but not back behind
@@ -101,12 +105,18 @@ def keep_clear(s: Situation, i: int, leaving: bool, rule: Any, vehicle: Any) -> 
     for a in range(POLICY_ACTIONS):
         if a != SLOW_DOWN and not (a >= LEFT and (leaving or apart) and not (leaving and a == back)):
             close(rule, vehicle, a, LEAD, i)
-    close_again(rule, vehicle, SLOW_DOWN, LEAD, i)
+    if row[VX] <= ego[VX]:  # no emergency brake for a car that is pulling away
+        close_again(rule, vehicle, SLOW_DOWN, LEAD, i)
 
 
-def keep_below(s: Situation, ceiling: float, reason: int, who: int, rule: Any, vehicle: Any) -> None:
-    """Close the set-points above `ceiling` [m/s], for `reason` and row `who`."""
-    if rule[CRUISE] == OPEN and s.target_speed > ceiling + 0.01:
-        rule[CRUISE], vehicle[CRUISE] = reason, who
-    if rule[SPEED_UP] == OPEN and s.target_speed + 1.0 > ceiling:
+def keep_below(s: Situation, cap: float, reason: int, who: int, rule: Any, vehicle: Any) -> None:
+    """Close raising a set-point that is at the speed `cap` [m/s] already, for `reason` and row `who`. The cap itself holds
+    whatever the set-point is."""
+    if rule[SPEED_UP] == OPEN and s.target_speed + SPEED_STEP_MPS > cap:
         rule[SPEED_UP], vehicle[SPEED_UP] = reason, who
+
+
+def slow_firmly(s: Situation, cap: float, rule: Any) -> float:
+    """The speed cap [m/s], lower where nothing but slowing down is left: a step of the set-point would be too little."""
+    only_slower = rule[SLOW_DOWN] == OPEN and rule[CRUISE] != OPEN and rule[SPEED_UP] != OPEN
+    return min(cap, max(s.rows[0][VX] - FIRM_MPS, 0.0)) if only_slower else cap

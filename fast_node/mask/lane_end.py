@@ -24,8 +24,13 @@ OUT_S, OUT_S_PER_M, OUT_M_PER_M = 0.4, 0.45, 2.2
 
 
 def speed_before_end(s: Situation) -> float:
-    """The highest set-point [m/s] from which the ego still comes gently to rest before its lane ends."""
-    return math.sqrt(2.0 * END_BRAKE * max(s.lanes[s.lane][LANE_END] - s.rows[0][X] - STOP_M, 0.0))
+    """The highest speed [m/s] from which the ego still comes gently to rest before its lane ends."""
+    return speed_before(s.lanes, s.lane, s.rows[0][X])
+
+
+def speed_before(lanes: Any, lane: int, x: float) -> float:
+    """The same for a car at `x` [m] in `lane`."""
+    return math.sqrt(2.0 * END_BRAKE * max(lanes[lane][LANE_END] - x - STOP_M, 0.0))
 
 
 def stop_before_end(s: Situation, rule: Any, vehicle: Any) -> None:

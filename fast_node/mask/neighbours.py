@@ -1,6 +1,6 @@
 """Who is ahead, behind and facing the ego in every lane, now and where they are heading.
 
-Assumed beyond RSS: a car that moves sideways is in the lane that it comes to as well, one that stands askew in the lane
+Assumed beyond RSS: a car that moves sideways out of its lane is in the lane that it comes to as well, one that stands askew in the lane
 that it reaches into, and one near the end of a lane that ends in the lane to its left.
 """
 
@@ -31,12 +31,41 @@ from schemas.driving.road import (
 )
 
 CUT_IN_MPS = 0.3
+CENTRED_M = 0.1
 CUT_IN_S = 2.0
 """A car moving sideways at least this fast counts as being wherever it comes by within this time, too."""
 COMES_OUT_M = 150.0
 """This near to the end of its lane a car may come out of it at any time."""
 ASKEW = 0.1
 """Sine of the heading from which on a car may take up room in the next lane."""
+
+
+def drifts(row: Any, lanes: Any) -> bool:
+    """Whether a car's motion sideways leads out of its lane: it is past the centre line, where the lane is left at all.
+    Before that, it is taken to be coming into its lane, or to follow its bend."""
+    lane = int(row[LANE])
+    past = row[Y] - lanes[lane][LANE_Y]
+    out: bool = (
+        abs(row[VY]) > CUT_IN_MPS
+        and (past if row[VY] > 0.0 else -past) > -CENTRED_M
+        and row[X] >= lanes[lane][LANE_OPENS]
+    )
+    return out
+
+
+def settles_at(row: Any, lanes: Any) -> float:
+    """Where a car's motion sideways is taken to end [m]: on the centre line that it comes to next. Without such a motion,
+    where it is."""
+    lane = int(row[LANE])
+    if abs(row[VY]) <= CUT_IN_MPS:
+        y: float = row[Y]
+        return y
+    if drifts(row, lanes):
+        lane = lane + 1 if row[VY] > 0.0 else lane - 1
+    if lane < 0 or lane >= len(lanes):
+        return row[Y] + CUT_IN_S * row[VY]
+    y = lanes[lane][LANE_Y]
+    return y
 
 
 def half_width(row: Any) -> float:
@@ -54,10 +83,8 @@ def heads_for(row: Any, lanes: Any, end: float, ego_width: float) -> int:
     """
     lane = int(row[LANE])
     other = lane
-    if row[VY] > CUT_IN_MPS:
-        other = lane + 1
-    elif row[VY] < -CUT_IN_MPS:
-        other = lane - 1
+    if drifts(row, lanes):
+        other = lane + 1 if row[VY] > 0.0 else lane - 1
     if other != lane and (
         other < 0
         or other >= len(lanes)

@@ -125,7 +125,7 @@ def settle_pass(s: Situation, rule: Any, vehicle: Any) -> None:
                 close_again(rule, vehicle, a, ONCOMING, facing)
     else:
         p = s.preset
-        need = rss_opposite_m(max(ego[VX], 0.0), -s.rows[facing][VX], p.reaction_s, 0.0, p.ego_brake, p.ego_brake + 1.0)
+        need = rss_opposite_m(max(ego[VX], 0.0), -s.rows[facing][VX], p.reaction_s, 0.0, p.follower_brake, p.ego_brake)
         if gap < need + 3.0:
             for a in range(POLICY_ACTIONS):
                 close(rule, vehicle, a, ONCOMING, facing)

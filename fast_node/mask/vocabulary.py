@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from schemas.wire.messages import MetaAction, Reason
 
-VERSION = "mask/7"
+VERSION = "mask/8"
 """Of what mask and `choice` do: tests hold a digest of their behaviour against it. A policy learns behind one version
 and drives behind no other."""
 
@@ -44,7 +44,9 @@ class Preset(NamedTuple):
     reaction_s: float
     """Until the ego brakes."""
     ego_brake: float
-    """What the ego is sure to manage."""
+    """What the ego is sure to manage; it manages 1 m/s2 more where it brakes straight on."""
+    shown_brake: float
+    """The most that the ego brakes with before a car behind, but for an emergency."""
     lead_brake: float
     """The most that a car ahead brakes with."""
     standstill_m: float
@@ -68,15 +70,16 @@ class Preset(NamedTuple):
 
 
 PRESETS = {
-    # Our executor answers within one tick and brakes at 6; simulated cars brake at 6 at most.
+    # Our executor answers within one tick and brakes at 8; cars ahead brake as on a dry road.
     "sim": Preset(
         reaction_s=2.0 / 15.0,
-        ego_brake=5.0,
-        lead_brake=6.0,
+        ego_brake=7.0,
+        shown_brake=5.0,
+        lead_brake=9.0,
         standstill_m=2.5,
         follow_s=0.7,
         ceiling_reaction_s=0.3,
-        ceiling_brake=4.5,
+        ceiling_brake=6.5,
         follower_reaction_s=0.8,
         follower_brake=6.0,
         courtesy_brake=1.9,
@@ -87,12 +90,13 @@ PRESETS = {
     # For traffic that brakes harder and reacts later than ours.
     "cautious": Preset(
         reaction_s=0.3,
-        ego_brake=4.5,
-        lead_brake=7.0,
+        ego_brake=6.0,
+        shown_brake=4.5,
+        lead_brake=9.5,
         standstill_m=3.0,
         follow_s=1.0,
         ceiling_reaction_s=0.4,
-        ceiling_brake=4.0,
+        ceiling_brake=5.5,
         follower_reaction_s=1.0,
         follower_brake=5.0,
         courtesy_brake=1.5,

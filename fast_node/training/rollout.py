@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fast_node import choice, mask
-from fast_node.choice import HELD, MASKED
-from fast_node.mask.vocabulary import AHEAD, FACING
+from fast_node.choice import MASKED
+from fast_node.mask.vocabulary import AHEAD, FACING, LEFT, RIGHT
+from schemas.driving.actions import held
 from schemas.driving.features import FEATURES, N_ROWS, Array, policy_input
 from schemas.driving.intent import ANY_LANE, intended_lane
 from schemas.driving.measures import TTC_CAP_S, ttc_s
 from schemas.driving.reward import reward, shortfall
-from schemas.driving.road import DECISION_TICKS, LANE, LANE_END, LANE_Y, VX, X, gap_between
+from schemas.driving.road import DECISION_TICKS, HZ, LANE, LANE_END, LANE_Y, VX, X, gap_between
 from schemas.runtime.compiled import compiled
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 
@@ -35,6 +36,7 @@ def _look_all(
     target_speed: Any,
     target_lane: Any,
     previous: Any,
+    accel: Any,
     sight: float,
     preset: mask.Preset,
     told_lane: Any,
@@ -47,21 +49,29 @@ def _look_all(
     rule: Any,
     vehicle: Any,
     wish_lane: Any,
+    left: Any,
+    cap: Any,
     ttc: Any,
     short: Any,
 ) -> None:
-    """Of every scene: what the mask closes, the lane wished now, the time to collision, the shortfall of the gap.
+    """Of every scene: what the mask and the intent close, the speed cap, the lane wished now, the time to collision, the
+    shortfall of the gap.
 
-    near, rule, vehicle, wish_lane, ttc, short: outputs; the rest as `Fleet` has it.
+    near, rule, vehicle, wish_lane, left, cap, ttc, short: outputs; the rest as `Fleet` has it.
     """
     for s in range(rows.shape[0]):
-        mask.close_actions(
+        safe = mask.close_actions(
             rows[s], lanes[s], target_speed[s], target_lane[s], previous[s], sight, near[s], rule[s], vehicle[s], preset
         )
         if not masked:
             rule[s] = mask.OPEN
+            safe = np.inf
         wish_lane[s] = told_lane[s] if pass_id[s] < 0 else intended_lane(rows[s], told_lane[s], pass_id[s])
+        left[s, 0], left[s, 1] = choice.hold_off(left[s, 0], left[s, 1], target_lane[s], previous[s])
+        cap[s] = safe
         if obeyed:
+            wished = choice.comfortable_mps(rows[s], near[s], lanes[s], target_lane[s], accel[s], v_des[s], headway[s])
+            cap[s] = min(safe, wished)
             choice.narrow(
                 rule[s],
                 rows[s],
@@ -70,9 +80,11 @@ def _look_all(
                 target_speed[s],
                 target_lane[s],
                 previous[s],
+                left[s, 0] if left[s, 1] > 0 else -1,
                 wish_lane[s],
                 v_des[s],
                 headway[s],
+                cap[s],
             )
         ttc[s] = TTC_CAP_S
         short[s] = 0.0
@@ -98,6 +110,8 @@ def _observe_all(
     target_speed: Any,
     target_lane: Any,
     previous: Any,
+    cap: Any,
+    rule: Any,
     order: Any,
     out: Any,
 ) -> None:
@@ -105,13 +119,31 @@ def _observe_all(
     for s in range(rows.shape[0]):
         y_des = np.nan if wish_lane[s] < 0 else lanes[s, wish_lane[s], LANE_Y]
         road_left = lanes[s, target_lane[s], LANE_END] - rows[s, 0, X]
-        policy_input(rows[s], y_des, v_des[s], headway[s], target_speed[s], previous[s] >= 0, road_left, order, out[s])
+        policy_input(
+            rows[s],
+            y_des,
+            v_des[s],
+            headway[s],
+            target_speed[s],
+            previous[s] >= 0,
+            road_left,
+            cap[s],
+            rule[s, LEFT] == mask.OPEN,
+            rule[s, RIGHT] == mask.OPEN,
+            order,
+            out[s],
+        )
 
 
-def _choose_all(logits: Any, rule: Any, age: Any, meta: Any, by: Any) -> None:
-    """Fill meta (S,) and by (S,) with every scene's `choice.choose`."""
+def _choose_all(logits: Any, rule: Any, age: Any, holding: Any, meta: Any, by: Any) -> None:
+    """Fill meta (S,) and by (S,) with every scene's `choice.choose`; a decision is due where `age` (S,) has come to
+    `DECISION_TICKS`. holding (S,): what the last decision asks for meanwhile, replaced where one is made."""
     for s in range(len(meta)):
-        meta[s], by[s] = choice.choose(logits[s], rule[s], age[s] < DECISION_TICKS)
+        due = age[s] >= DECISION_TICKS
+        meta[s], by[s] = choice.choose(logits[s], rule[s], due, holding[s])
+        if due:
+            holding[s], age[s] = held(meta[s]), 0
+        age[s] += 1
 
 
 _look = compiled(_look_all)
@@ -130,7 +162,7 @@ class World(Protocol):
     accel: Floats
     crashed: Bools
 
-    def tick(self, meta: Ints, speed_goal: Floats) -> None: ...
+    def tick(self, meta: Ints, speed_goal: Floats, speed_cap: Floats, /) -> None: ...
 
     def reset(self, mask: Bools) -> None: ...
 
@@ -172,6 +204,8 @@ class Fleet:
         self.told_lane, self.pass_id = np.full(s, ANY_LANE), np.full(s, -1)
         self.v_des, self.headway = np.zeros(s), np.full(s, 1.5)
         self.wish = np.full(s, ANY_LANE)
+        self.left = np.zeros((s, 2), np.int64)
+        self.cap_mps = np.full(s, np.inf)
         self.ttc_s, self.short = np.full(s, TTC_CAP_S), np.zeros(s)
 
     def look(self) -> None:
@@ -185,6 +219,7 @@ class Fleet:
             w.target_speed,
             w.target_lane,
             w.previous_lane,
+            w.accel,
             self.task.sight_m,
             self._preset,
             self.told_lane,
@@ -197,6 +232,8 @@ class Fleet:
             self.rule,
             self.vehicle,
             self.wish,
+            self.left,
+            self.cap_mps,
             self.ttc_s,
             self.short,
         )
@@ -214,6 +251,8 @@ class Fleet:
             w.target_speed,
             w.target_lane,
             w.previous_lane,
+            self.cap_mps,
+            self.rule,
             self._order,
             out,
         )
@@ -246,11 +285,14 @@ class Scenes(Fleet):
         s = len(world.rows)
         self.age = np.zeros(s, np.int64)
         self.returns = np.zeros(s)
+        self._holding = np.full(s, int(MetaAction.CRUISE))
+        self._meta, self._by = np.zeros(s, np.int64), np.zeros(s, np.int64)
         self.reset(np.ones(s, np.bool_))
 
     def reset(self, which: Bools) -> None:
         """New scenes where told; a directive is drawn for each, and again now and then during the episode."""
         self.world.reset(which)
+        self.left[which] = 0
         self.age[which], self.returns[which] = 0, 0.0
         self._direct(which)
         self.look()
@@ -269,37 +311,33 @@ class Scenes(Fleet):
         """One decision: the action first, then held unless the mask closes that: reward, terminated, truncated."""
         w = self.world
         s = len(action)
-        each = np.arange(s)
         braked, effort, short, ttc = np.zeros(s, np.bool_), np.zeros(s), np.zeros(s), np.full(s, TTC_CAP_S)
+        jolt = np.zeros(s)
         start_x = w.rows[:, 0, X].copy()
+        logits = np.eye(POLICY_ACTIONS, dtype=np.float32)[action]
+        since = np.full(s, DECISION_TICKS)
         for k in range(self._ticks):
-            is_open = self.rule == mask.OPEN
-            meta = action if k == 0 else np.full(s, MetaAction.CRUISE)
-            fine = is_open[each, meta]
-            for a in (
-                MetaAction.EMERGENCY_BRAKE,
-                MetaAction.RIGHT,
-                MetaAction.LEFT,
-                MetaAction.SPEED_UP,
-                MetaAction.SLOW_DOWN,
-            ):
-                if not fine.all():
-                    meta = np.where(~fine & is_open[:, a], int(a), meta)
-            braked |= meta == MetaAction.EMERGENCY_BRAKE
-            w.tick(meta.astype(np.int64), self.v_des)
+            if k:
+                since[:] = 0
+            _choose(logits, self.rule, since, self._holding, self._meta, self._by)
+            braked |= self._meta == MetaAction.EMERGENCY_BRAKE
+            before = w.accel.copy()
+            w.tick(self._meta, self.v_des, self.cap_mps)
             effort += w.accel**2
+            jolt += ((w.accel - before) * HZ) ** 2
             self.look()
             ttc = np.minimum(ttc, self.ttc_s)
             short += self.short / self._ticks
         self.age += 1
-        seconds = self._ticks / DECISION_TICKS
+        seconds = self._ticks / HZ
         speed = (w.rows[:, 0, X] - start_x).astype(np.float64) / seconds
         earned = reward(
             speed,
             self.v_des,
             self.task.speed_range,
             effort / self._ticks,
-            action != MetaAction.CRUISE,
+            jolt / self._ticks,
+            action >= MetaAction.LEFT,
             (self.wish == ANY_LANE) | (w.target_lane == self.wish),
             ttc,
             short,
@@ -362,19 +400,15 @@ class Driver:
     def __init__(self, fleet: Fleet, logits: Callable[[Array], Array]) -> None:
         self.fleet, self._logits = fleet, logits
         s = len(fleet.wish)
-        self._age = np.full(s, 10**6)
-        self._last_wish = np.full(s, -2)
-        self.meta, self._by = np.zeros(s, np.int64), np.zeros(s, np.int64)
+        self._age = np.full(s, DECISION_TICKS)
+        self._holding = np.full(s, int(MetaAction.CRUISE))
+        self.meta, self.by = np.zeros(s, np.int64), np.zeros(s, np.int64)
         self.overridden = np.zeros(s, np.bool_)
 
     def tick(self) -> None:
         """Look, choose, and advance every scene by one tick."""
         f, w = self.fleet, self.fleet.world
         f.look()
-        self._age[f.wish != self._last_wish] = 10**6
-        self._last_wish[:] = f.wish
-        _choose(self._logits(f.observe()), f.rule, self._age, self.meta, self._by)
-        self._age[self._by != HELD] = 0
-        self._age += 1
-        self.overridden = self._by == MASKED
-        w.tick(self.meta, f.v_des)
+        _choose(self._logits(f.observe()), f.rule, self._age, self._holding, self.meta, self.by)
+        self.overridden = self.by == MASKED
+        w.tick(self.meta, f.v_des, f.cap_mps)

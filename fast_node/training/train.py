@@ -55,11 +55,14 @@ from fast_node.training.network import ActorCritic
 from fast_node.training.rollout import Mixed
 from schemas.driving import reward as rewards
 from schemas.driving.features import FEATURES, LAYOUT_HASH, N_ROWS, Array
+from schemas.driving.road import DECISION_TICKS, HZ
 from schemas.runtime.process import ConfigError, revision
 
 WIDTH, HEADS, LAYERS = 128, 2, 1
-ROLLOUT = 16
+ROLLOUT = 48
 """Decisions of every scene between two updates."""
+DECISION_S = DECISION_TICKS / HZ
+"""The discount is that of a second."""
 LR_END = 0.1
 """The learning rate falls linearly to this share of it."""
 SAVE_EVERY = 10
@@ -184,7 +187,7 @@ def train(
             b = {k: np.stack(v) for k, v in keep.items()}
             next_value = following_values(b["value"], b["last_value"], b["ended"], _values(net, x))
             advantage = advantages(
-                b["reward"], b["value"], next_value, b["terminated"], b["ended"], config.gamma, config.lam
+                b["reward"], b["value"], next_value, b["terminated"], b["ended"], config.gamma**DECISION_S, config.lam
             )
             flat = {
                 k: torch.from_numpy(b[k].reshape(-1, *b[k].shape[2:])) for k in ("x", "is_open", "action", "log_prob")

@@ -33,11 +33,15 @@ FEATURES = (
     "changing",
     "y_wished",
     "road_left",
+    "cap",
+    "left_open",
+    "right_open",
 )
 """dx/50, dy/4, dv/5 relative to the ego [m, m/s]; closing: 1/TTC [1/s]; y_des: intended minus own lateral position / 4
 (for others 0: no prediction of their changes); v_des and set_point: minus own speed, / 5; headway [s] / 3; speed / 10;
 changing: a lane change is under way; y_wished: whether any lane is intended (else y_des is 0); road_left: to the end of
-the lane aimed for [m] / 100, at most 3."""
+the lane aimed for [m] / 100, at most 3; cap: the speed that is admitted now minus own speed, / 5; left_open, right_open:
+whether a change to that side may begin."""
 (
     PRESENCE,
     IS_EGO,
@@ -55,6 +59,9 @@ the lane aimed for [m] / 100, at most 3."""
     CHANGING,
     Y_WISHED,
     ROAD_LEFT,
+    CAP,
+    LEFT_OPEN,
+    RIGHT_OPEN,
 ) = range(len(FEATURES))
 LAYOUT_HASH = hashlib.sha256(",".join((str(N_ROWS), *FEATURES)).encode()).hexdigest()[:16]
 
@@ -71,13 +78,16 @@ def policy_input(
     set_point: float,
     changing: bool,
     road_left: float,
+    cap: float,
+    left_open: bool,
+    right_open: bool,
     order: Any,
     out: Any,
 ) -> None:
     """Fill `out` (N, F) from rows (V, 9) in `ROW_COLUMNS` and the intent; absent vehicles are zero rows.
 
-    y_des [m] is nan where no lane is intended; v_des, set_point [m/s]; headway [s]; road_left [m]; order: (V,) working
-    space of integers.
+    y_des [m] is nan where no lane is intended; v_des, set_point, cap (inf: none) [m/s]; headway [s]; road_left [m];
+    order: (V,) working space of integers.
     """
     ego = rows[0]
     x, y, vx, vy = ego[X], ego[Y], ego[VX], ego[VY]
@@ -122,6 +132,9 @@ def policy_input(
     o[CHANGING] = 1.0 if changing else 0.0
     o[Y_WISHED] = 1.0 if intended else 0.0
     o[ROAD_LEFT] = min(max(road_left / 100.0, 0.0), 3.0)
+    o[CAP] = min(max((cap - vx) / 5.0, -4.0), 4.0)
+    o[LEFT_OPEN] = 1.0 if left_open else 0.0
+    o[RIGHT_OPEN] = 1.0 if right_open else 0.0
 
 
 def features(
@@ -132,9 +145,14 @@ def features(
     set_point: float,
     changing: bool,
     road_left: float,
+    cap: float = math.inf,
+    left_open: bool = True,
+    right_open: bool = True,
     n_rows: int = N_ROWS,
 ) -> Array:
     """`policy_input` as a new (n_rows, F) float32 array."""
     out = [[0.0] * len(FEATURES) for _ in range(n_rows)]
-    policy_input(rows, y_des, v_des, headway, set_point, changing, road_left, [0] * len(rows), out)
+    policy_input(
+        rows, y_des, v_des, headway, set_point, changing, road_left, cap, left_open, right_open, [0] * len(rows), out
+    )
     return np.array(out, np.float32)

@@ -86,8 +86,8 @@ def rss_lateral_m(
 
 
 # What the ego's executor can do: the mask's claims rest on these, and the executor keeps them.
-EGO_ACCEL_MAX_MPS2 = 3.0
-EGO_BRAKE_MAX_MPS2 = 6.0
-SPEED_STEP_MPS = 1.0
+EGO_BRAKE_MAX_MPS2 = 8.0
+SPEED_STEP_MPS = 0.1
+"""One SLOW_DOWN or SPEED_UP; held for a second they change the set-point by 1.5 m/s."""
 LANE_CHANGE_DONE_M = 0.3
 """A lane change is over once the ego's centre is this close to the target lane's centre line."""

@@ -17,8 +17,10 @@ SHORT = -0.3
 STANDSTILL_M = 2.0
 COMFORT = -0.15
 """Per (m/s2)^2 of mean squared acceleration."""
-STEP = -0.02
-"""For any action but CRUISE."""
+JERK = -0.02
+"""Per (m/s3)^2 of mean squared jerk."""
+CHANGE = -0.1
+"""For a lane change, or giving one up."""
 LANE = 0.3
 OVERSPEED = 1.5
 """Too fast counts this much more than too slow."""
@@ -32,7 +34,8 @@ def reward(
     v_des: Floats,
     speed_range: float,
     accel_square: Floats,
-    acted: Bools,
+    jerk_square: Floats,
+    changes: Bools,
     in_wished_lane: Bools,
     ttc_s: Floats,
     short: Floats,
@@ -43,7 +46,7 @@ def reward(
     """(S,) reward of one decision that lasted `seconds`; what happens once (an action, a brake, a crash) counts whole.
 
     speed: mean over the decision [m/s]; v_des [m/s]; speed_range: what the efficiency term divides by [m/s];
-    accel_square: mean of a^2 [(m/s2)^2]; acted: any action but CRUISE; in_wished_lane: aims for it, or none is wished;
+    accel_square: mean of a^2 [(m/s2)^2]; jerk_square: of its change, at most 25 [(m/s3)^2]; changes: LEFT or RIGHT; in_wished_lane: aims for it, or none is wished;
     ttc_s: the smallest time to collision meanwhile; short: mean of `shortfall`; braked: the mask braked at some tick.
     """
     slow = np.abs(speed - v_des) / speed_range * np.where(speed > v_des, OVERSPEED, 1.0)
@@ -52,10 +55,11 @@ def reward(
         - slow
         + LANE * in_wished_lane
         + COMFORT * accel_square
+        + JERK * np.minimum(jerk_square, 25.0)
         + NEAR * np.clip(1.0 - ttc_s / NEAR_S, 0.0, 1.0)
         + SHORT * short
     )
-    total = seconds * running + STEP * acted + BRAKE * braked + CRASH * crashed
+    total = seconds * running + CHANGE * changes + BRAKE * braked + CRASH * crashed
     return np.asarray(SCALE * total, np.float32)
 
 

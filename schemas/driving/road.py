@@ -17,8 +17,8 @@ from schemas.wire.messages import ROW_COLUMNS, Lane
 HZ = 15
 """Ticks per second: the rate of the simulator, of the contract's deadlines and of the trained weights."""
 DT_S = 1.0 / HZ
-DECISION_TICKS = HZ
-"""From one decision to the next: a policy learns and drives at one a second."""
+DECISION_TICKS = 5
+"""From one decision to the next: a policy learns and drives at three a second."""
 
 ID, X, Y, VX, VY, HEADING, LENGTH, WIDTH, LANE = range(len(ROW_COLUMNS))
 """Columns of a vehicle's row: `messages.ROW_COLUMNS`. ID is negative where there is no vehicle."""

@@ -20,7 +20,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-SCHEMA_VERSION = "2.1"
+SCHEMA_VERSION = "2.2"
 
 Manoeuvre = Literal["cruise", "follow", "overtake", "merge", "yield", "stop"]
 Style = Literal["calm", "normal", "assertive"]
@@ -166,6 +166,11 @@ class Action(Message, frozen=True, kw_only=True, tag="action"):
     why: str = ""
     probabilities: tuple[float, ...] = ()
     """The policy's, of its five actions, before mask and intent close any; empty where it has not spoken."""
+    speed_cap_mps: float | None = None
+    """The ego drives no faster than this in the coming tick, whatever its set-point: what the cars ahead, the road's end
+    and the intent admit. None: no cap."""
+    style: int = 1
+    """How the executor drives: 0 calm, 1 normal, 2 assertive."""
 
 
 class Command(Message, frozen=True, kw_only=True, tag="command"):

@@ -5,6 +5,7 @@ Axes: S scenes, V vehicles, L lanes. SI units, 15 Hz.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Literal
 
@@ -141,9 +142,10 @@ class Batched:
         tick.settle(self._tables.roads, self._calls, self._scratch, self._f, self._g, e, self._view, scene, lane, way)
         g[layout.TARGET_LANE, first_thing:] = g[layout.LANE, first_thing:]
 
-    def tick(self, meta: Ints, speed_goal: Floats) -> None:
-        """Advance every scene by 1/15 s: one `MetaAction` (S,) per scene, and its speed goal (S,) m/s (nan: none)."""
-        self._ego.speed_goal[:] = speed_goal
+    def tick(self, meta: Ints, speed_goal: Floats, speed_cap: Floats | float = math.inf, style: Ints | int = 1) -> None:
+        """Advance every scene by 1/15 s: one `MetaAction` (S,) per scene, its speed goal (S,) and cap (S,) in m/s (nan
+        and inf: none), and its style (S,)."""
+        self._ego.speed_goal[:], self._ego.speed_cap[:], self._ego.style[:] = speed_goal, speed_cap, style
         tick.advance(
             1,
             DT_S,

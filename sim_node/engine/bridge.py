@@ -68,6 +68,8 @@ def new_ego(
     return Ego(
         meta=np.zeros(scenes, np.int64),
         speed_goal=np.full(scenes, np.nan),
+        speed_cap=np.full(scenes, np.inf),
+        style=np.ones(scenes, np.int64),
         target_speed=np.zeros(scenes),
         target_lane=np.zeros(scenes, np.int64),
         previous_lane=np.full(scenes, -1, np.int64),
@@ -134,6 +136,7 @@ class Bridge:
             ints[layout.TARGET_LANE, 0] = 0  # its lanes are the scenario's
             ego.meta[0], ego.speed_goal[0], ego.accel[0] = first.meta, first.speed_goal, first.acceleration
             ego.target_lane[0], ego.previous_lane[0] = first.target_lane, first.previous_lane
+            ego.speed_cap[0], ego.style[0] = first.speed_cap, first.style
         elif self.kinds[0] == layout.MDP:
             ints[layout.SPEED_INDEX, 0] = first.speed_index
             ego.speeds[:] = first.target_speeds

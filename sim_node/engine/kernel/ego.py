@@ -37,7 +37,14 @@ def set_controls(ego: Ego, f: Any, scene: int, dt: float) -> None:
     """EgoVehicle.act without an action: the controls of an EXECUTOR ego."""
     y_target, lane_heading = centre_line(ego.pieces, ego.target_lane[scene], f[X, 0])
     f[STEERING, 0] = steering_command(f[Y, 0], f[ANGLE, 0], f[SPEED, 0], y_target, lane_heading)
-    f[ACCEL, 0] = acceleration_command(f[SPEED, 0], ego.target_speed[scene], ego.accel[scene], ego.meta[scene], dt)
+    f[ACCEL, 0] = acceleration_command(
+        f[SPEED, 0],
+        min(ego.target_speed[scene], ego.speed_cap[scene]),
+        ego.accel[scene],
+        ego.meta[scene],
+        ego.style[scene],
+        dt,
+    )
 
 
 def begin(calls: Any, roads: Any, ego: Ego, f: Any, g: Any, scene: int, action: int) -> None:
@@ -56,6 +63,7 @@ def begin(calls: Any, roads: Any, ego: Ego, f: Any, g: Any, scene: int, action: 
             ego.speed_goal[scene],
             ego.floor,
             ego.ceiling,
+            ego.speed_cap[scene],
         )
     elif not np.isnan(ego.speed_goal[scene]):  # an IDM ego takes no actions, but knows how fast it is to be
         ego.target_speed[scene] = ego.speed_goal[scene]

@@ -81,6 +81,10 @@ class Ego(NamedTuple):
     meta: NDArray[np.int64]
     """(S,) the last action."""
     speed_goal: NDArray[np.float64]
+    speed_cap: NDArray[np.float64]
+    """(S,) m/s; inf: none."""
+    style: NDArray[np.int64]
+    """(S,) 0 calm, 1 normal, 2 assertive."""
     target_speed: NDArray[np.float64]
     target_lane: NDArray[np.int64]
     """(S,) index in the scenario's lanes."""
