@@ -35,11 +35,13 @@ from tests import scenes as by_hand
 from tests.scenes import car
 
 SIGHT_M = 250.0
+NORMAL = 1
 
 SIM = PRESETS["sim"]
 PLAIN = Preset(
     reaction_s=0.5,
     ego_brake=4.0,
+    shown_brake=4.0,
     lead_brake=8.0,
     standstill_m=3.0,
     follow_s=1.0,
@@ -63,11 +65,17 @@ LANES, HIGHWAY, RAMP = ROADS["two-way"], ROADS["highway"], ROADS["merge"]
 def judge(
     rows, lanes, target_speed: float, lane: int, previous: int = -1, preset: Preset = SIM
 ) -> tuple[list[int], list[int]]:
+    return capped(rows, lanes, target_speed, lane, previous, preset)[:2]
+
+
+def capped(
+    rows, lanes, target_speed: float, lane: int, previous: int = -1, preset: Preset = SIM
+) -> tuple[list[int], list[int], float]:
+    """The same, and the speed cap [m/s]."""
     rule, vehicle = [0] * 6, [0] * 6
     near = [0] * (3 * len(lanes))
-    opened = close_actions(rows, lanes, target_speed, lane, previous, SIGHT_M, near, rule, vehicle, preset)
-    assert opened == sum(r == OPEN for r in rule)
-    return rule, vehicle
+    cap = close_actions(rows, lanes, target_speed, lane, previous, SIGHT_M, near, rule, vehicle, preset)
+    return rule, vehicle, cap
 
 
 def situation(
@@ -195,13 +203,13 @@ class Ego(NamedTuple):
     lane: int
     previous: int
 
-    def moved(self, meta: int, lanes, speed_ceiling: float) -> Ego:
+    def moved(self, meta: int, lanes, speed_ceiling: float, cap: float = math.inf) -> Ego:
         """One tick later, as the simulator's executor and bicycle model have it."""
         gates = [(b[LANE_START], b[LANE_END], b[LANE_OPENS], b[LANE_RAMP]) for b in lanes]
         target, lane, previous = executor.edit_set_points(
-            meta, self.target_speed, self.lane, self.previous, gates, self.x, math.nan, 0.0, speed_ceiling
+            meta, self.target_speed, self.lane, self.previous, gates, self.x, math.nan, 0.0, speed_ceiling, cap
         )
-        accel = executor.acceleration_command(self.speed, target, self.accel, meta, DT)
+        accel = executor.acceleration_command(self.speed, min(target, cap), self.accel, meta, NORMAL, DT)
         steering = executor.steering_command(self.y, self.heading, self.speed, lanes[lane][LANE_Y], 0.0)
         slip = math.atan(0.5 * math.tan(steering))
         y = self.y + self.speed * math.sin(self.heading + slip) * DT
@@ -239,11 +247,11 @@ def ahead_by(
     for tick in range(round(seconds / DT)):
         rows = rows_at(tick * DT, ego, lanes, others)
         seen = [r for r in rows if abs(r[X] - ego.x) <= SIGHT_M]
-        rule, _ = judge(seen, lanes, ego.target_speed, ego.lane, ego.previous, preset)
+        rule, _, cap = capped(seen, lanes, ego.target_speed, ego.lane, ego.previous, preset)
         if tick == 0 and rule[first] != OPEN:
             return
         meta = first if tick == 0 else next((a for a in liking if rule[a] == OPEN), MetaAction.EMERGENCY_BRAKE)
-        ego = ego.moved(int(meta), lanes, lanes[-1][LANE_LIMIT])
+        ego = ego.moved(int(meta), lanes, lanes[-1][LANE_LIMIT], cap)
         yield ego, rows_at((tick + 1) * DT, ego, lanes, others)
 
 
