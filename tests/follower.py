@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from fast_node.coordination import Coordination
+from schemas.driving.intent import NORMAL
 from schemas.driving.road import lane_table
 from schemas.runtime.clock import NS
 from schemas.wire.codec import rows_of
@@ -61,6 +62,8 @@ class Follower:
     def __init__(self) -> None:
         self.coordination = Coordination(DEFAULT_HEADWAY_S)
         self.events: list[Event] = []
+        self.style = NORMAL
+        """Of the newest intent."""
 
     def at(
         self,
@@ -76,6 +79,7 @@ class Follower:
         intent, events = self.coordination.intent(seen, rows, lanes, follows, now_ns)
         events += self.coordination.report(seen, intent, tuple((closed or {}).values()), does)
         self.events += events
+        self.style = intent.style
         return Seen(intent.lane, intent.speed_mps, intent.headway_s, [in_short(event) for event in events])
 
 

@@ -5,14 +5,20 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from schemas.driving.road import BEHIND_M as BEHIND_M
-from schemas.driving.road import ID, LENGTH, NOBODY, VX, X
+from schemas.driving.road import ID, LANE_WAY, LENGTH, NOBODY, VX, X, home_lane, lane_ends
 
 ANY_LANE = -1
+CALM, NORMAL, ASSERTIVE = range(3)
+"""How to drive: `Intent.style`."""
+STYLES = {"calm": CALM, "normal": NORMAL, "assertive": ASSERTIVE}
+"""By the names of `messages.Style`."""
 PASS_SIGHT_M = 60.0
 """A lead farther ahead than this many metres (or `PASS_SIGHT_S` of driving) is not overtaken yet."""
 PASS_SIGHT_S = 5.0
 SPEED_TOLERANCE_MPS = 0.5
 """An intended speed is met within this."""
+LANE_ENDS_S = 10.0
+"""Nobody is sent to a lane that ends within this time of driving while another goes on."""
 
 
 class Intent(NamedTuple):
@@ -24,6 +30,26 @@ class Intent(NamedTuple):
     headway_s: float
     pass_id: int = NOBODY
     """The car to overtake on a two-way road; see `intended_lane`. The policy gets the lane that follows from it."""
+    style: int = NORMAL
+    """`CALM`, `NORMAL` or `ASSERTIVE`."""
+
+
+def unasked_lane(lanes: Any, target_lane: int, previous_lane: int) -> int:
+    """The lane to be in where none is wished: `ANY_LANE`, the policy chooses, on a road with a choice.
+
+    It has none, and is to go to (or stay in) its home lane, where that is the only one of our direction that goes on,
+    in a borrowed oncoming lane, in a lane that ends, and until the change out of one is over.
+
+    lanes: (L, 8) as `lane_table`; target_lane: the one aimed for; previous_lane: the one that a running change left,
+    or -1. Compiles with numba unchanged.
+    """
+    home = home_lane(lanes, target_lane)
+    if home != target_lane or (previous_lane >= 0 and lane_ends(lanes, previous_lane)):
+        return home
+    for k in range(len(lanes)):
+        if k != home and lanes[k][LANE_WAY] > 0 and not lane_ends(lanes, k):
+            return ANY_LANE
+    return home
 
 
 def intended_lane(rows: Any, home: int, pass_id: int) -> int:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from msgspec.structs import replace
 from pydantic import ValidationError
 
+from schemas.driving.intent import LANE_ENDS_S
 from schemas.driving.measures import INF
 from schemas.wire.messages import Directive, Manoeuvre, Style
 from slow_node.memory.bank import Example
@@ -25,8 +26,6 @@ from slow_node.understanding.slots import FAR_OVER_LIMIT, Outcome, Slots
 
 SLOW_LEAD_WITHIN_M = 80.0
 SLOWER_BY_MPS, SLOWEST_MPS = 2.0, 1.0
-LANE_ENDS_S = 10.0
-"""Nobody is sent to a lane that ends within this time of driving while another goes on."""
 OVER_LIMIT_MPS = 0.05
 """A named speed that exceeds the limit by more than rounding: the passenger is told of the limit."""
 ASKS = ("manoeuvre", "target_lane", "target_speed_mps", "headway_s", "style")
@@ -99,7 +98,7 @@ def directive_of(slots: Slots, scene: Scene) -> Directive | Refusal:
     home, kept = scene.home_lane, scene.kept_lane
     back = home if scene.borrowing else None
     if slots.cancel:
-        return _draft(scene, "cruise", back, say=_say(slots, "cancel"))
+        return _draft(scene, "cruise", say=_say(slots, "cancel"))
     limit = scene.lanes[home].speed_limit_mps
     if slots.target_speed_mps is not None and slots.target_speed_mps > FAR_OVER_LIMIT * limit:
         return _refusal(f"{slots.target_speed_mps:.0f} m/s is far over the limit", slots, "unsafe")
@@ -112,14 +111,16 @@ def directive_of(slots: Slots, scene: Scene) -> Directive | Refusal:
     on_left_is_oncoming = scene.exists(kept - 1) and scene.lanes[kept - 1].direction == -1
     pass_left = slots.lane in ("left", "leftmost") and on_left_is_oncoming
     hurry = hurried(slots) and scene.two_way
-    if slots.overtake is not False and slow_lead(scene) and (slots.overtake or pass_left or hurry):
+    to_pass = slow_lead(scene, INF) if slots.overtake else slow_lead(scene) and (pass_left or hurry)
+    if slots.overtake is not False and to_pass:
         return _overtake(slots, scene)
     if pass_left and not scene.borrowing:
         return _refusal("the left lane is oncoming, with no slow car to pass", slots, "oncoming")
     lane = _target_lane(slots, scene)
     if isinstance(lane, Refusal):
         return lane
-    if lane is None and (slots.lane == "keep" or (slots.overtake is False and may_take(scene, kept))):
+    keeps_place = slots.overtake is False or (slots.speed == "keep" and scene.speed_mps < SLOWEST_MPS)
+    if lane is None and (slots.lane == "keep" or (keeps_place and may_take(scene, kept))):
         lane = kept
     if lane is None:
         lane = back
@@ -198,10 +199,10 @@ def may_take(scene: Scene, lane: int) -> bool:
     return at.direction == 1 and at.kind != "ramp" and not ends
 
 
-def slow_lead(scene: Scene) -> bool:
-    """A car to overtake: ahead in the ego's own lane, near and slower than the limit."""
+def slow_lead(scene: Scene, within_m: float = SLOW_LEAD_WITHIN_M) -> bool:
+    """A car to overtake: ahead in the ego's own lane, slower than the limit, and near, unless it was asked for."""
     lead = scene.lead
-    return lead is not None and lead.gap_m < SLOW_LEAD_WITHIN_M and is_slow(lead.speed_mps, _cap(scene, None))
+    return lead is not None and lead.gap_m < within_m and is_slow(lead.speed_mps, _cap(scene, None))
 
 
 def return_directive(scene: Scene, language: str = "en") -> Directive:
@@ -285,7 +286,8 @@ def _target_lane(slots: Slots, scene: Scene) -> int | Refusal | None:
 
 
 def _target_speed(slots: Slots, scene: Scene, lane: int | None) -> float | None:
-    """Between standstill and the limit; slower is never faster than now."""
+    """Between standstill and the limit; slower is never faster than now. Who stands and is to go on as before has no
+    speed to keep: the fast node knows the one before the stop."""
     cap = _cap(scene, lane)
     if slots.target_speed_mps is not None:
         return min(slots.target_speed_mps, cap)
@@ -293,7 +295,7 @@ def _target_speed(slots: Slots, scene: Scene, lane: int | None) -> float | None:
         return cap
     if slots.speed == "slower":
         return min(max(scene.speed_mps - SLOWER_BY_MPS, SLOWEST_MPS), scene.speed_mps, cap)
-    if slots.speed == "keep":
+    if slots.speed == "keep" and scene.speed_mps >= SLOWEST_MPS:
         return min(scene.speed_mps, cap)
     return None
 

@@ -249,8 +249,13 @@ def test_a_directive_of_another_command_counts_from_its_own_beginning(follower):
 def test_the_same_command_after_its_end_counts_from_its_new_beginning(follower):
     follower.at(observation(0, lanes=HIGHWAY, lane=1), TO_THE_LEFT, FRONT)
     follower.at(observation(1, lanes=HIGHWAY, lane=0))
-    follower.at(observation(15, **ROAD), directive(id=6, target_lane=0), None)
-    assert follower.at(observation(30, lanes=HIGHWAY, lane=0)).told == [(FULFILLED, None, -1, 15, 1.0)]
+    follower.at(observation(15, lanes=HIGHWAY, lane=0), directive(id=6, target_lane=1), None)
+    assert follower.at(observation(30, **ROAD)).told == [(FULFILLED, None, -1, 15, 1.0)]
+
+
+def test_the_same_command_said_again_after_its_end_is_no_new_wish(follower):
+    follower.at(observation(0, lanes=HIGHWAY, lane=0), TO_THE_LEFT)
+    assert follower.at(observation(15, lanes=HIGHWAY, lane=0), directive(id=6, target_lane=0)).told == []
 
 
 def test_a_renewed_lane_is_delayed_anew(follower):
@@ -287,11 +292,6 @@ def test_a_cruise_after_an_overtake_has_nobody_to_pass(follower):
     follower.at(observation(0, LEAD), OVERTAKE)
     cruise = directive(id=6, command_id=9, target_lane=1)
     assert follower.at(observation(1, LEAD), cruise).told == [(FULFILLED, None, -1, 1, 0.0)]
-
-
-def test_who_was_told_to_go_faster_and_then_not_keeps_the_lane(follower):
-    follower.at(observation(0, lanes=HIGHWAY), directive(target_speed_mps=20.0))
-    assert follower.at(observation(1, lanes=HIGHWAY), directive(id=6, headway_s=2.0)).lane == 1
 
 
 def test_another_directive_ends_the_acceleration_for_a_car_behind(follower):

@@ -11,7 +11,7 @@ from schemas.runtime.clock import NS
 from schemas.wire.messages import Command, Directive, Event, EventKind, Lane, Observation, Reason, Reply
 from slow_node.deliberation import Deliberation, Effect, Interpret, Remember
 from slow_node.interpreter import Interpretation
-from slow_node.planning.directive import Refusal, directive_of
+from slow_node.planning.directive import ASKS, Refusal, directive_of
 from slow_node.planning.replies import SENTENCES, sentence
 from slow_node.planning.scene import Scene, encode_scene
 from slow_node.understanding.slots import Slots
@@ -449,7 +449,6 @@ def test_a_wished_lane_is_one_to_drive_in_or_refused(
     [
         {"speed": "faster"},
         {"speed": "slower"},
-        {"speed": "keep"},
         {"speed": "stop"},
         {"target_speed_mps": 29.0},
         {"target_speed_mps": 0.0},
@@ -462,6 +461,22 @@ def test_a_target_speed_lies_between_standstill_and_the_limit(wish: dict[str, An
     assert isinstance(plan, Directive)
     assert plan.target_speed_mps is not None
     assert 0.0 <= plan.target_speed_mps <= (min(speed, LIMIT) if wish.get("speed") == "slower" else LIMIT)
+
+
+@pytest.mark.parametrize(("speed", "kept"), [(0.0, None), (0.9, None), (1.0, 1.0), (15.0, 15.0), (25.0, LIMIT)])
+def test_who_drives_keeps_the_speed_and_who_stands_goes_on_in_the_lane_as_before(
+    speed: float, kept: float | None
+) -> None:
+    plan = directive_of(Slots(outcome="directive", speed="keep"), scene(1, speed=speed))
+    assert isinstance(plan, Directive)
+    assert (plan.target_speed_mps, plan.target_lane) == (kept, 1 if kept is None else None)
+
+
+@pytest.mark.parametrize("ego", [0, 1])
+def test_normal_again_names_nothing_in_a_borrowed_lane_either(ego: int) -> None:
+    plan = directive_of(CANCEL, scene(ego, lanes=TWO_WAY))
+    assert isinstance(plan, Directive)
+    assert [getattr(plan, name) for name in ASKS] == ["cruise", None, None, None, "normal"]
 
 
 def ramp_ahead(end_m: float) -> tuple[Lane, ...]:

@@ -320,9 +320,19 @@ def test_the_road_and_the_schema_are_gates() -> None:
 
 
 def test_a_wish_to_overtake_says_so_where_nobody_slow_is_ahead() -> None:
-    far = directive_of(Slots(outcome="directive", overtake=True), encode_scene(observation(lead_x=120.0)))
+    far = directive_of(Slots(outcome="directive", overtake=True), encode_scene(observation(lead_x=160.0)))
     near = directive_of(Slots(outcome="directive", overtake=True), encode_scene(observation(lead_x=25.0)))
     assert (far.say, near.say) == (sentence("nobody_ahead", "en"), sentence("overtake", "en"))
+
+
+def test_a_car_to_overtake_may_be_as_far_ahead_as_one_can_see() -> None:
+    far = encode_scene(observation(lead_x=120.0))
+    asked = directive_of(Slots(outcome="directive", overtake=True), far)
+    assert isinstance(asked, Directive)
+    assert (asked.manoeuvre, asked.target_speed_mps, asked.say) == ("overtake", 8.0, sentence("overtake", "en"))
+    hurry = directive_of(Slots(outcome="directive", speed="faster"), far)
+    assert isinstance(hurry, Directive)
+    assert hurry.manoeuvre == "cruise"
 
 
 def test_a_superseded_interpretation_hangs_up(bank: str) -> None:

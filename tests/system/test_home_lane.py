@@ -12,6 +12,7 @@ from sim_node.config import SimConfig
 from sim_node.node import SimNode
 from sim_node.scenarios import SCENARIOS
 from slow_node.planning.scene import encode_scene
+from tests.scenes import directive
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
@@ -23,5 +24,6 @@ def test_the_slow_nodes_scene_and_the_fast_nodes_intent_agree_on_the_home_lane(s
         rows = rows_of(seen).copy()
         rows[0, -1] = lane
         there = msgspec.structs.replace(seen, rows=rows.tobytes(), target_lane=lane)
-        intent, _ = Coordination(1.5).intent(there, rows.tolist(), lane_table(there.lanes), None, 0)
+        stop = directive(manoeuvre="stop")  # whoever is to stop goes home for it
+        intent, _ = Coordination(1.5).intent(there, rows.tolist(), lane_table(there.lanes), stop, 0)
         assert encode_scene(there).home_lane == intent.lane, (scenario, lane)
