@@ -1,4 +1,5 @@
-"""The simulator's process: ticks the world on an absolute 15 Hz schedule, whoever is or is not listening."""
+"""The simulator's process. At 15 Hz, on an absolute schedule, it publishes what the ego sees, waits for the answer
+within the budget, and steps the world with it or without."""
 
 from __future__ import annotations
 
@@ -7,23 +8,20 @@ import os
 import sys
 import threading
 import time
-from collections import deque
+from queue import Empty, SimpleQueue
 
 import numpy as np
 
 from schemas.runtime.bus import Bus, Subscription, ZenohBus, open_bus
-from schemas.runtime.clock import MonotonicClock, Schedule
+from schemas.runtime.clock import NS, MonotonicClock, Schedule
 from schemas.runtime.process import Heartbeat, Trace, load_config, log, run_node
 from schemas.runtime.realtime import claim, may_poll
 from schemas.wire.messages import Action, MetaAction, Observation
 from schemas.wire.topics import ACTION, CONTROL, EVENT, OBSERVATION, STATUS
 from sim_node.config import SimConfig
+from sim_node.gate import Gate
 from sim_node.node import SimNode
 
-BUDGET_NS = 20_000_000
-"""An answer later than this after its observation was published counts as missed."""
-KEPT = 9000
-"""Round trips in the percentiles: the last ten minutes."""
 READER_S = 3.0
 """Tick 0 waits this long for somebody to read it; later ticks wait for nobody."""
 SETTLE_S = 0.3
@@ -56,54 +54,72 @@ class RehearsingClock(MonotonicClock):
         super().sleep_until(due_ns)
 
 
-class RoundTrips:
-    """Stamps every action's arrival from a thread of its own, so that the schedule's sleep never delays the stamp.
+class Answers:
+    """The actions as they come, and the wait for the one that answers what was just published.
 
-    The trace gets a row per tick, [ns] of CLOCK_MONOTONIC where it is a time: epoch, tick, published, how long until
-    the first action that answers it (-1: none came), due, `put_ns`, when the next tick was due and its stamp, and the
-    tick whose action that one applied.
+    A thread of its own stamps each at its arrival and hands it on; whoever waits sleeps until then, and so leaves the
+    core to the fast node where both share one. The trace gets a row per tick, [ns] of CLOCK_MONOTONIC where it is a
+    time: epoch, tick, published, how long until the first answer (-1: none came), due, `put_ns`, when the next tick was
+    due and its stamp, and the age of the action that was applied (-1: none was).
     """
 
-    def __init__(self, actions: Subscription[Action], trace: Trace) -> None:
-        self._actions, self._trace = actions, trace
-        self._published: tuple[int, int, int] = (-1, -1, 0)
-        self._first_ns = -1
-        self._due_ns = 0
+    def __init__(self, actions: Subscription[Action], gate: Gate, trace: Trace, poll: bool) -> None:
+        self._actions, self._trace, self._poll = actions, trace, poll
+        self.gate = gate
+        self._came: SimpleQueue[tuple[Action, int]] = SimpleQueue()
+        self._asked: tuple[int, int, int] | None = None
+        self._prompt = False
         self.put_ns = 0
         """When the newest observation had been encoded and handed to the bus."""
-        self._prompt = False
-        self.newest: Action | None = None
-        self.took_ns: deque[int] = deque(maxlen=KEPT)
-        self.missed = 0
         self.closing = False
         """Set before the session closes, which ends the thread."""
         # Not a daemon: one that comes back from zenoh while the interpreter is being torn down aborts the process.
         threading.Thread(target=self._receive, name="actions").start()
 
-    def published(self, observation: Observation, due_ns: int, now_ns: int) -> None:
+    def expect(self, observation: Observation, due_ns: int) -> None:
         """The observation, which was due at `due_ns`, is about to leave; close the account of the one before."""
-        if self._published[0] >= 0:
-            self.missed += not 0 <= self._first_ns <= BUDGET_NS
+        gate = self.gate
+        while not self._came.empty():
+            gate.arrived(*self._came.get_nowait())
+        if self._asked is not None:
+            epoch, tick, was_due_ns = self._asked
             self._trace.add(
-                *self._published,
-                self._first_ns,
-                self._due_ns,
+                epoch,
+                tick,
+                gate.published_ns,
+                gate.took_ns,
+                was_due_ns,
                 self.put_ns,
                 due_ns,
                 observation.stamp_ns,
-                observation.applied_tick,
+                gate.age_ns,
             )
-        self._due_ns = due_ns
-        self._prompt = 0 <= self._first_ns < POLL_NS
-        # In this order: a late answer to the tick before must not be taken for one to this tick.
-        self._published = (observation.epoch, observation.tick, now_ns)
-        self._first_ns = -1
+        self._asked = observation.epoch, observation.tick, due_ns
+        self._prompt = 0 <= gate.took_ns < POLL_NS
+        gate.open(observation.epoch, observation.tick, time.monotonic_ns())
 
-    def poll(self) -> None:
-        """Look for the answer to what was just published without ever sleeping; late ones are left to the thread."""
-        until_ns = time.monotonic_ns() + POLL_NS
-        while self._prompt and self._first_ns < 0 and (action := self._actions.poll(until_ns)) is not None:
-            self._arrived(action)
+    def wait(self) -> Action | None:
+        """The answer as soon as it is there; None once the budget is over."""
+        gate = self.gate
+        if self._poll and self._prompt:
+            self._look(min(gate.published_ns + POLL_NS, gate.until_ns))
+        while gate.took_ns < 0:
+            left_ns = gate.until_ns - time.monotonic_ns()
+            try:
+                gate.arrived(*self._came.get(timeout=max(left_ns, 0) / NS))
+            except Empty:
+                break
+        return gate.close(time.monotonic_ns())
+
+    def _look(self, until_ns: int) -> None:
+        """Look for the answer without sleeping; the thread may have been quicker."""
+        while self.gate.took_ns < 0 and time.monotonic_ns() < until_ns:
+            if (action := self._actions.poll(0)) is not None:
+                self.gate.arrived(action, time.monotonic_ns())
+            elif not self._came.empty():
+                self.gate.arrived(*self._came.get_nowait())
+            else:
+                os.sched_yield()
 
     def _receive(self) -> None:
         while True:
@@ -113,62 +129,75 @@ class RoundTrips:
                 if not self.closing:
                     log("sim", "actions-ended", str(error))
                 return
-            self._arrived(action)
-
-    def _arrived(self, action: Action) -> None:
-        now_ns = time.monotonic_ns()
-        self.newest = action
-        epoch, tick, published_ns = self._published
-        if (action.epoch, action.answers_tick) == (epoch, tick) and self._first_ns < 0:
-            self._first_ns = now_ns - published_ns
-            self.took_ns.append(self._first_ns)
+            self._came.put((action, time.monotonic_ns()))
 
 
 class Loop:
-    """The node, its round trips and the schedule, with the figures of the heartbeat and the orders from outside."""
+    """The node, its answers and the schedule, with the figures of the heartbeat and the orders from outside."""
 
-    def __init__(self, bus: Bus, node: SimNode, trips: RoundTrips, schedule: Schedule) -> None:
-        self._bus, self._node, self._trips, self._schedule = bus, node, trips, schedule
+    def __init__(self, bus: Bus, node: SimNode, answers: Answers, schedule: Schedule) -> None:
+        self._bus, self._node, self._answers, self._schedule = bus, node, answers, schedule
         self._orders = bus.subscribe(CONTROL)
         self._paused = False
+        self._answer: Action | None = None
+        self._shown = False
+        """The present state is published, and its answer waits with it until the world goes on."""
 
     def tick(self, due_ns: int) -> None:
-        """The tick that was due at `due_ns`, unless the world stands still: then no observation goes out, either."""
-        moves = not self._paused
-        for order in self._orders.take():
-            moves = order.do in ("resume", "step") or (moves and order.do == "restart")
-            if order.do != "restart":
-                self._paused = order.do != "resume"
-                continue
-            try:
-                self._node.restart(order.scenario, order.seed, time.monotonic_ns())
-            except ValueError as error:
-                log("sim", "order", str(error))
-            else:
-                self.publish(due_ns)
-                return
-        if moves:
-            self._node.advance(self._trips.newest, time.monotonic_ns())
-            self.publish(due_ns)
+        """The tick that was due at `due_ns`: show the present state, wait for the answer, step the world with it.
 
-    def publish(self, due_ns: int) -> None:
-        """Publish the current tick, which was due at `due_ns`."""
+        A world that stands still does nothing; after a single step, or a restart meanwhile, it has shown its state and
+        keeps the answer until it goes on.
+        """
+        if not self._obey():
+            return
+        if self._shown:
+            self._step()
+        self._show(due_ns)
+        if not self._paused:
+            self._step()
+
+    def _obey(self) -> bool:
+        """Take the orders; whether there is anything to do at this tick."""
+        goes = not self._paused
+        for order in self._orders.take():
+            if order.do == "restart":
+                try:
+                    self._node.restart(order.scenario, order.seed, time.monotonic_ns())
+                except ValueError as error:
+                    log("sim", "order", str(error))
+                else:
+                    self._shown, goes = False, True
+                continue
+            self._paused = order.do != "resume"
+            goes = order.do != "pause"
+        return goes
+
+    def _show(self, due_ns: int) -> None:
         observation = self._node.observation(time.monotonic_ns())
-        self._trips.published(observation, due_ns, time.monotonic_ns())
+        self._answers.expect(observation, due_ns)
         self._bus.publish(OBSERVATION, observation)
-        self._trips.put_ns = time.monotonic_ns()
+        self._answers.put_ns = time.monotonic_ns()
         for event in self._node.take_events():
             self._bus.publish(EVENT, event)
+        self._answer, self._shown = self._answers.wait(), True
+
+    def _step(self) -> None:
+        self._node.advance(self._answer, time.monotonic_ns())
+        self._shown = False
 
     def figures(self) -> dict[str, float]:
         """What the heartbeat shows; called from its thread."""
         node, m = self._node, self._node.metrics
-        took_us = np.array(self._trips.took_ns.copy() or (0,)) / 1000.0
-        p50, p99 = np.percentile(took_us, (50, 99))
+        gate = self._answers.gate
+        (p50, p99), (age_p50, age_p99) = (
+            np.percentile(np.array(ns.copy() or (0,)) / 1000.0, (50, 99)) for ns in (gate.round_trips_ns, gate.ages_ns)
+        )
         return {
             "tick": node.tick, "epoch": node.epoch, "speed_mps": node.speed_mps, "lane": node.lane,
-            "ticks": m.ticks, "answered": m.answered, "missed": self._trips.missed, "collisions": m.collisions,
-            "rtt_p50_us": float(p50), "rtt_p99_us": float(p99), "skipped": self._schedule.skipped,
+            "ticks": m.ticks, "answered": m.answered, "missed": gate.missed, "collisions": m.collisions,
+            "rtt_p50_us": float(p50), "rtt_p99_us": float(p99),
+            "age_p50_us": float(age_p50), "age_p99_us": float(age_p99), "skipped": self._schedule.skipped,
             "episodes": m.episodes, "holds": m.holds, "failsafes": m.failsafes, "passed": m.passed,
             "reached": m.reached, "struck": m.struck, "min_ttc_s": m.min_ttc_s,
             "paused": float(self._paused),
@@ -197,29 +226,27 @@ def main() -> None:
     with open_bus(config.bus) as bus:
         for topic in (OBSERVATION, EVENT, STATUS):
             bus.announce(topic)
-        trips = RoundTrips(bus.subscribe_rehearsed(ACTION, lambda _: None), trace)
+        gate = Gate(round(config.budget_ms * 1e6))
+        answers = Answers(bus.subscribe_rehearsed(ACTION, lambda _: None), gate, trace, poll)
         if bus.wait_for_reader(OBSERVATION, READER_S):
             time.sleep(SETTLE_S)
         schedule = Schedule(RehearsingClock(bus, poll), config.hz)
-        loop = Loop(bus, node, trips, schedule)
+        loop = Loop(bus, node, answers, schedule)
         ticks = float("inf") if config.duration_s is None else config.duration_s * config.hz
         with Heartbeat(bus, "sim", loop.figures) as heart:
             heart.epoch = node.epoch
             log("sim", "ready", epoch=node.epoch, scenario=config.scenario, seed=config.seed, realtime=scheduling)
             try:
-                loop.publish(schedule.wait())
                 while node.metrics.ticks + schedule.skipped < ticks:
                     due_ns = schedule.wait()
                     heart.begin()
                     loop.tick(due_ns)
                     heart.epoch = node.epoch
                     heart.end()
-                    if poll:
-                        trips.poll()
             finally:
                 heart.end()
                 heart.state = "stopping"
-                trips.closing = True
+                answers.closing = True
                 trace.save()
                 time.sleep(FAREWELL_S)
 

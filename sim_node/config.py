@@ -27,6 +27,8 @@ class SimConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Standard deviation of the error in the others' speeds."""
     dropout: float = 0.0
     """Chance that another car is missing from an observation."""
+    budget_ms: float = 20.0
+    """From an observation's publication: an action that comes later is not used. One may state a shorter budget."""
 
     def __post_init__(self) -> None:
         if self.scenario not in SCENARIOS:
@@ -40,3 +42,5 @@ class SimConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             raise ValueError("noise_m and noise_mps must not be negative, and dropout must be within 0..1")
         if not 1 <= self.hz <= 100:
             raise ValueError(f"hz {self.hz} is not within 1..100")
+        if not 0 < self.budget_ms < 1000.0 / self.hz:
+            raise ValueError(f"budget_ms {self.budget_ms} is not within 0..{1000.0 / self.hz:.1f}, one tick")

@@ -13,11 +13,11 @@ from schemas.driving.road import LANE
 from schemas.wire.messages import Action, Event, EventKind, MetaAction, Observation
 from sim_node.config import SimConfig
 from sim_node.env import ScenarioEnv
-from sim_node.executor import STYLE_ACCEL_MPS2
+from sim_node.gate import answers
 from sim_node.metrics import Recorder
 
 HOLD_TICKS = 2
-"""An action may be this many ticks old, and without one the set-points hold for this many ticks."""
+"""Without an answer, the set-points hold for this many ticks; from the next one on the ego brakes."""
 FAILSAFE_BRAKE_MPS2 = 2.5
 _YES = np.ones(1, np.bool_)
 
@@ -46,7 +46,11 @@ class Metrics:
 
 
 class SimNode:
-    """The world between two messages. `step` never waits: what has not arrived is replaced by the fail-safe."""
+    """The world between two messages: an observation, the action that answers it, the next observation.
+
+    `step` never waits. Without an answer the set-points hold for `HOLD_TICKS` ticks in a row, and so does a lane change
+    that has begun; then the ego brakes gently in its target lane until the next answer.
+    """
 
     def __init__(self, config: SimConfig) -> None:
         self._events: list[Event] = []
@@ -121,7 +125,10 @@ class SimNode:
         return self.observation(now_ns)
 
     def advance(self, action: Action | None, now_ns: int) -> None:
-        """Apply the action, if it is usable, for one tick. After a crash or the road's end: begin the next epoch."""
+        """Step the world by one tick with the action, if it answers the present observation.
+
+        At an episode's end, no action is applied: the next epoch begins.
+        """
         self.metrics.ticks += 1
         if self.over:
             why = self.over
@@ -131,7 +138,7 @@ class SimNode:
         ego = self._env.ego
         ego.speed_goal = math.nan
         meta = MetaAction.CRUISE
-        if action is not None and self._usable(action):
+        if action is not None and answers(action, self.epoch, self.tick):
             meta = MetaAction(action.meta_action)
             if action.speed_goal_mps is not None:
                 ego.speed_goal = action.speed_goal_mps
@@ -161,16 +168,6 @@ class SimNode:
         """Events since the last call."""
         taken, self._events = self._events, []
         return taken
-
-    def _usable(self, action: Action) -> bool:
-        """An action of this world, not older than the hold, not applied yet, and one that exists."""
-        return (
-            action.epoch == self.epoch
-            and max(self.tick - HOLD_TICKS, self._applied_tick + 1) <= action.answers_tick <= self.tick
-            and 0 <= action.meta_action < len(MetaAction)
-            and 0 <= action.style < len(STYLE_ACCEL_MPS2)
-            and not (action.speed_cap_mps is not None and math.isnan(action.speed_cap_mps))
-        )
 
     def _measure(self) -> None:
         env, ego, m = self._env, self._env.ego, self.metrics

@@ -134,7 +134,7 @@ class Deployment:
 
 
 def trace_of(path: Path) -> NDArray[np.int64]:
-    """What a node kept of its ticks, (T, 9): see `RoundTrips` and the fast node's loop.
+    """What a node kept of its ticks, (T, 9): see `Answers` and the fast node's loop.
 
     Raises `MeasurementError` if it kept nothing.
     """

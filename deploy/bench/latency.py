@@ -286,7 +286,7 @@ def run(options: Options) -> tuple[dict[str, Any], Path]:
         "bus_paced_minus_back_to_back_us": bus_paced_minus_back_to_back(rows),
         "loads": {load: paced.figures() for load, paced in samples.paced.items()},
         "fast_node": fast,
-        "targets": targets(rows, fast, options.realtime),
+        "targets": targets(rows, fast, options.realtime, samples.age_us("none")),
         "included": included({row.what for row in rows}),
         "histograms": {"/".join(key): histogram(took) for key, took in samples.took.items()},
     }

@@ -41,7 +41,7 @@ class Paced:
     parts: dict[str, list[float]] = field(default_factory=lambda: {name: [] for name in PARTS})
     """Of ours, in us."""
     ages: list[float] = field(default_factory=list)
-    """Of the observation that each applied action answers, in us."""
+    """Of the applied actions, in us: from the observation's publication until the world was stepped with its answer."""
     late: dict[str, list[float]] = field(default_factory=dict)
     """By participant, in us: from when a round was due until it was sent; for ours, until it was published."""
     skipped: int = 0
@@ -96,6 +96,11 @@ class Samples:
         self.took.setdefault(key, []).extend(t / 1000.0 for t in took_ns)
         self.skipped[key] = self.skipped.get(key, 0) + skipped
 
+    def age_us(self, load: str) -> dict[str, float] | None:
+        """Of the applied actions under this load: p50 and p99."""
+        paced = self.paced.get(load)
+        return p50_p99(paced.ages) if paced is not None else None
+
     def lose(self, key: tuple[str, str, str], why: str) -> None:
         """One row less, or a part of it, which is said at once."""
         why += self.block
@@ -111,12 +116,11 @@ def read_traces(folder: Path, load: Load, first: int, ends: int, samples: Sample
     """
     sim = trace_of(folder / "sim.trace").tolist()
     fast = {(row[0], row[1]): row for row in trace_of(folder / "fast.trace").tolist()}
-    published = {(epoch, tick): at for epoch, tick, at, *_ in sim}
     paced = samples.paced.setdefault(load, Paced())
     late = paced.late.setdefault("ours", [])
     took: list[int] = []
     missed = 0
-    for epoch, tick, sent, answered, due, put, next_due, next_ns, applied in sim:
+    for epoch, tick, sent, answered, due, put, next_due, next_ns, age in sim:
         if not first <= due < ends:
             continue
         skipped = max(0, round((next_due - due) / PERIOD_NS) - 1)
@@ -126,8 +130,8 @@ def read_traces(folder: Path, load: Load, first: int, ends: int, samples: Sample
         overdue = sent - due > PERIOD_NS
         paced.overdue += overdue
         missed += skipped + (overdue and took[-1] <= DEADLINE_US * 1000.0)  # the later ones count by themselves
-        if (epoch, applied) in published:
-            paced.ages.append((next_ns - published[epoch, applied]) / 1000.0)
+        if age >= 0:
+            paced.ages.append(age / 1000.0)
         row = fast.get((epoch, tick))
         if row is None or answered < 0:
             continue

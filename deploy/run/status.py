@@ -73,7 +73,7 @@ class Live:
                 f"{figures.get('speed_mps', 0.0):4.1f} m/s lane {figures.get('lane', 0):.0f}",
                 self._intent(now_ns, seen.epoch),
                 f"by {self._action.source if self._action else 'nobody'}",
-                f"rtt {figures.get('rtt_p50_us', 0.0) / 1e3:.1f}/{figures.get('rtt_p99_us', 0.0) / 1e3:.1f} ms",
+                f"age {figures.get('age_p50_us', 0.0) / 1e3:.1f}/{figures.get('age_p99_us', 0.0) / 1e3:.1f} ms",
                 f"missed {figures.get('missed', 0):.0f}",
             )
         )

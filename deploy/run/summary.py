@@ -113,6 +113,7 @@ class Summary:
             "restarts": sum(restarts.values()),
             "restarts_of": {name: count for name, count in restarts.items() if count},
             "latency_us": {"p50": newest.get("rtt_p50_us"), "p99": newest.get("rtt_p99_us")},
+            "applied_age_us": {"p50": newest.get("age_p50_us"), "p99": newest.get("age_p99_us")},
             "commands": [asdict(said) for said in self._said.values()],
             "directives": {kind.value: self._happened[kind] for kind in _HAPPENS},
             "delayed_by": dict(self._delayed_by.most_common()),

@@ -254,14 +254,15 @@ class _Run:
         if self._options.as_json:
             print(json.dumps(summary), flush=True)
             return
-        latency, directives, delayed_by = summary["latency_us"], summary["directives"], summary["delayed_by"]
-        assert isinstance(latency, dict)
+        age, directives, delayed_by = summary["applied_age_us"], summary["directives"], summary["delayed_by"]
+        assert isinstance(age, dict)
         assert isinstance(directives, dict)
         assert isinstance(delayed_by, dict)
-        p50, p99 = (f"{value / 1e3:.1f}" if value is not None else "-" for value in (latency["p50"], latency["p99"]))
+        p50, p99 = (f"{value / 1e3:.1f}" if value is not None else "-" for value in (age["p50"], age["p99"]))
         self._print(
             f"summary: {summary['duration_s']} s, {summary['ticks']} ticks, {summary['answered']} answered, "
             f"{summary['missed']} missed, {summary['collisions']} collisions, "
             f"directives: {happened(directives, delayed_by)}; "
-            f"{summary['restarts']} restarts, round trip p50/p99 {p50}/{p99} ms; {self._folder / 'summary.json'}"
+            f"{summary['restarts']} restarts, age of the applied action p50/p99 {p50}/{p99} ms; "
+            f"{self._folder / 'summary.json'}"
         )

@@ -41,7 +41,7 @@ class Topic(Generic[M]):
 
 
 OBSERVATION = Topic(name="observation", type=m.Observation, publisher="sim", hz=15, stale_after_s=0.2, depth=1)
-ACTION = Topic(name="action", type=m.Action, publisher="fast", hz=15, stale_after_s=2 / 15, depth=4)
+ACTION = Topic(name="action", type=m.Action, publisher="fast", hz=15, stale_after_s=0.02, depth=4)
 DIRECTIVE = Topic(name="directive", type=m.Directive, publisher="slow", hz=None, stale_after_s=60.0, depth=1)
 COMMAND = Topic(name="command", type=m.Command, publisher="passenger", hz=None, stale_after_s=10.0, depth=8)
 REPLY = Topic(name="reply", type=m.Reply, publisher="slow", hz=None, stale_after_s=60.0, depth=16)

@@ -2,38 +2,55 @@
 
 from __future__ import annotations
 
-from collections import deque
-
 import pytest
 
 from schemas.runtime.clock import ManualClock, Schedule
 from schemas.runtime.local_bus import LocalBus
 from schemas.wire import topics
-from schemas.wire.messages import Control, Event, Status
+from schemas.wire.messages import Action, Control, Event, MetaAction, Observation, Status
 from sim_node import __main__ as shell
 from sim_node.config import SimConfig
+from sim_node.gate import Gate
 from sim_node.node import SimNode
 
 
-class NoTrips:
-    """Round trips of nobody."""
+class Nobody:
+    """No answer ever comes."""
 
-    newest = None
-    put_ns = missed = 0
-    took_ns: deque[int] = deque()
+    def __init__(self) -> None:
+        self.gate = Gate(20_000_000)
+        self.put_ns = 0
 
-    def published(self, *_: object) -> None:
+    def expect(self, observation: Observation, due_ns: int) -> None:
         pass
+
+    def wait(self) -> Action | None:
+        return None
+
+
+class Faster(Nobody):
+    """Every observation is answered at once: faster."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._asked = (0, 0)
+
+    def expect(self, observation: Observation, due_ns: int) -> None:
+        self._asked = observation.epoch, observation.tick
+
+    def wait(self) -> Action:
+        epoch, tick = self._asked
+        return Action(epoch=epoch, stamp_ns=0, answers_tick=tick, meta_action=int(MetaAction.SPEED_UP), source="policy")
 
 
 class World:
-    def __init__(self) -> None:
+    def __init__(self, answers: Nobody | None = None) -> None:
         self.bus = LocalBus()
         self.node = SimNode(SimConfig(scenario="highway", seed=3))
         self.node.reset(1)
         self.seen = self.bus.subscribe(topics.OBSERVATION)
         self.events = self.bus.subscribe(topics.EVENT)
-        self.loop = shell.Loop(self.bus, self.node, NoTrips(), Schedule(ManualClock(), 15))  # type: ignore[arg-type]
+        self.loop = shell.Loop(self.bus, self.node, answers or Nobody(), Schedule(ManualClock(), 15))  # type: ignore[arg-type]
 
     def order(self, do: str, scenario: str = "", seed: int | None = None) -> None:
         order = Control(epoch=0, stamp_ns=0, do=do, scenario=scenario, seed=seed)  # type: ignore[arg-type]
@@ -49,11 +66,11 @@ class World:
 
 def test_a_paused_world_stands_still_says_so_and_goes_on_where_it_was() -> None:
     world = World()
-    assert world.ticks(2) == [1, 2]
+    assert world.ticks(2) == [0, 1]
     world.order("pause")
     assert world.ticks(5) == []
     world.order("resume")
-    assert world.ticks(2) == [3, 4]
+    assert world.ticks(2) == [2, 3]
 
 
 def test_the_heartbeat_says_whether_the_world_stands_still_and_can_be_sent() -> None:
@@ -70,9 +87,11 @@ def test_the_heartbeat_says_whether_the_world_stands_still_and_can_be_sent() -> 
 def test_a_step_is_one_tick_and_then_it_stands_still() -> None:
     world = World()
     world.order("step")
-    assert world.ticks(4) == [1]
+    assert world.ticks(4) == [0]
     world.order("step")
-    assert world.ticks(4) == [2]
+    assert world.ticks(4) == [1]
+    world.order("resume")
+    assert world.ticks(2) == [2, 3]
 
 
 def test_a_restart_is_another_world_on_the_road_and_with_the_seed_that_were_ordered() -> None:
@@ -99,7 +118,7 @@ def test_a_restart_keeps_what_is_not_named_and_the_counts() -> None:
     fresh = SimNode(SimConfig(scenario="highway", seed=3))
     fresh.reset(2)
     assert shown.rows == fresh.observation(0).rows
-    assert (world.node.metrics.ticks, world.node.metrics.episodes) == (3, 2)
+    assert (world.node.metrics.ticks, world.node.metrics.episodes) == (4, 2)
 
 
 @pytest.mark.parametrize(("scenario", "seed"), [("moon", 1), ("merge", -1)])
@@ -107,7 +126,7 @@ def test_an_order_that_makes_no_sense_changes_nothing(scenario: str, seed: int) 
     world = World()
     world.ticks(2)
     world.order("restart", scenario, seed)
-    assert world.ticks(2) == [3, 4]
+    assert world.ticks(2) == [2, 3]
 
 
 def test_a_restart_while_paused_shows_the_new_world_and_stands_still() -> None:
@@ -116,3 +135,26 @@ def test_a_restart_while_paused_shows_the_new_world_and_stands_still() -> None:
     world.ticks()
     world.order("restart", "two-way", 1)
     assert world.ticks(3) == [0]
+    world.order("step")
+    assert world.ticks(3) == [1]
+
+
+def test_a_world_that_stands_still_keeps_the_answer_until_it_goes_on() -> None:
+    world = World(Faster())
+    world.order("step")
+    world.ticks(3)
+    assert (world.node.tick, world.node.metrics.answered) == (0, 0)
+    world.order("resume")
+    assert world.ticks(2) == [1, 2]
+    assert (world.node.tick, world.node.metrics.answered, world.node.metrics.holds) == (3, 3, 0)
+
+
+def test_the_answer_to_a_world_that_was_replaced_meanwhile_is_dropped() -> None:
+    world = World(Faster())
+    world.order("step")
+    world.ticks(1)
+    world.order("restart")
+    assert world.ticks(2) == [0]
+    world.order("step")
+    assert world.ticks(1) == [1]
+    assert world.node.metrics.answered == 1

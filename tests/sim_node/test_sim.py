@@ -221,7 +221,7 @@ def test_a_speed_goal_of_an_action_is_held_exactly() -> None:
     pytest.fail(f"target speed {observation and observation.target_speed_mps}")
 
 
-@pytest.mark.parametrize("kind", ["none", "old tick", "future tick", "old epoch", "unknown action"])
+@pytest.mark.parametrize("kind", ["none", "last tick", "future tick", "old epoch", "unknown action"])
 def test_without_a_usable_action_the_car_holds_two_ticks_and_then_brakes(kind: str) -> None:
     node = fresh()
     for _ in range(5):
@@ -230,7 +230,7 @@ def test_without_a_usable_action_the_car_holds_two_ticks_and_then_brakes(kind: s
     for k in range(20):
         useless = {
             "none": None,
-            "old tick": act(node, MetaAction.LEFT, tick=node.tick - 3),
+            "last tick": act(node, MetaAction.LEFT, tick=node.tick - 1),
             "future tick": act(node, MetaAction.LEFT, tick=node.tick + 1),
             "old epoch": act(node, MetaAction.LEFT, epoch=6),
             "unknown action": Action(epoch=7, stamp_ns=0, source="policy", answers_tick=node.tick, meta_action=9),
@@ -318,7 +318,7 @@ def test_the_process_ticks_without_listeners_and_publishes_its_final_figures() -
     assert status is not None
     assert status.state == "stopping"
     wanted = {"tick", "epoch", "speed_mps", "lane", "ticks", "answered", "missed", "collisions", "rtt_p50_us",
-              "rtt_p99_us", "skipped", "episodes", "failsafes"}  # fmt: skip
+              "rtt_p99_us", "age_p50_us", "age_p99_us", "skipped", "episodes", "failsafes"}  # fmt: skip
     assert wanted <= status.figures.keys()
     assert status.figures["ticks"] + status.figures["skipped"] == 30
     assert status.figures["missed"] >= 28

@@ -177,10 +177,10 @@ export class Panels {
       item.title = `process ${node.pid}${node.detail ? `: ${node.detail}` : ""}\n${Object.entries(node.figures).map(([k, v]) => `${k} ${v}`).join("\n")}`;
     }
     const sim = nodes.find((node) => node.node === "sim");
-    if (sim && sim.figures.rtt_p99_us !== undefined) {
+    if (sim && sim.figures.age_p99_us !== undefined) {
       const f = sim.figures;
-      text($("ticks"), `round trip ${(f.rtt_p50_us / 1000).toFixed(1)} / ${(f.rtt_p99_us / 1000).toFixed(1)} ms · missed ${f.missed ?? 0}`);
-      $("ticks").title = "Median and 99th percentile, as the simulator measures it";
+      text($("ticks"), `age of the action ${(f.age_p50_us / 1000).toFixed(1)} / ${(f.age_p99_us / 1000).toFixed(1)} ms · missed ${f.missed ?? 0}`);
+      $("ticks").title = "From what the car saw until it did what answers that: median and 99th percentile, as the simulator measures it";
     }
   }
 }

@@ -42,7 +42,7 @@ def test_the_page_s_driver_drives_the_car_with_none_of_our_code():
                 while len(applied) < 60 and driver.poll() is None:
                     bus.publish(topics.OBSERVATION, seen)
                     action = actions.poll(time.monotonic_ns() + NS // 100)  # asked again where it was not there yet
-                    if action is not None:
+                    if action is not None and action.answers_tick == seen.tick:
                         seen = sim.step(action, 0)
                         applied.add(seen.applied_tick)
             finally:
