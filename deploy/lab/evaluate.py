@@ -14,7 +14,7 @@ from deploy.lab.language_driver import drive_dilu, memory, running_model
 from deploy.lab.paired import Episode, episode_of
 from deploy.lab.statistics import wilson95
 from schemas.runtime.process import ConfigError
-from sim_node.metrics import EpisodeResult, summarise
+from sim_node.results import EpisodeResult, summarise
 from sim_node.scenarios import SCENARIOS, Scenario
 
 SCHEMA = "fastslow.evaluate/1"

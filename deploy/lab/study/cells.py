@@ -26,7 +26,7 @@ from fast_node.policies.mlp import BASELINES, PARTS, VARIANTS, masked, told
 from fast_node.training.rollout import Fleet
 from schemas.driving.features import LAYOUT_HASH
 from sim_node.engine.batched import Batched
-from sim_node.metrics import summarise
+from sim_node.results import summarise
 from sim_node.scenarios import SCENARIOS
 
 ALGORITHMS = ("ours", *BASELINES)

@@ -30,8 +30,9 @@ from schemas.runtime.process import ConfigError
 from schemas.wire.messages import Directive, MetaAction
 from sim_node.config import SimConfig
 from sim_node.engine.batched import Batched
-from sim_node.metrics import Recorder, summarise
+from sim_node.metrics import Recorder
 from sim_node.node import SimNode
+from sim_node.results import summarise
 from sim_node.scenarios import SCENARIOS
 from sim_node.scenarios.scenario import streams
 from tests.scenes import car
@@ -125,7 +126,10 @@ def test_a_bare_baseline_decides_once_a_second_and_nothing_overrides_it() -> Non
 
     step = by_the_second(Fleet(world, task_of(SCENARIOS["highway"]), masked=False), left)
     for tick in range(31):
-        assert not step(tick).any()
+        settled = step(tick)
+        assert settled is not None
+        assert settled.decided.tolist() == [tick % 15 == 0] * 2
+        assert not (settled.by_mask | settled.by_wish).any()
     assert asked == [0, 15, 30]
 
 
@@ -160,7 +164,24 @@ def test_the_json_has_the_documented_rows_from_the_seed_it_was_asked_for() -> No
         "lane_compliance_feasible",
         "speed_compliance",
         "override_share",
+        "ride_score",
+        "ride_score_low",
+        "ride_score_high",
+        "lane_flips_per_min",
+        "changes_given_up_per_min",
+        "jerk_rms",
+        "accel_sign_changes_per_min",
+        "headway_under_1s_share",
+        "min_ttc_capped_share",
+        "never_complied_share",
+        "decisions",
+        "decisions_with_choice_share",
+        "decisions_closed_by_mask_share",
+        "decisions_closed_by_wish_share",
     }
+    assert {f"{name}_of" for name in printed["rows"][0] if name.endswith(("_share", "_per_min"))} <= set(
+        printed["rows"][0]
+    )
     assert printed["rows"][0]["first_seed"] == 7
 
 
