@@ -185,6 +185,28 @@ def test_the_json_has_the_documented_rows_from_the_seed_it_was_asked_for() -> No
     assert printed["rows"][0]["first_seed"] == 7
 
 
+def test_a_road_may_be_denser_a_file_and_asked_for_something_later(tmp_path: Path) -> None:
+    (tmp_path / "short.toml").write_text('base = "highway"\nduration_s = 4.0\n', encoding="utf-8")
+    told = ["--scenario", str(tmp_path / "short.toml"), "--density", "2", "--directive-at", "3", "--mask-preset", "sim"]
+    out = CliRunner().invoke(app, ["evaluate", *told, "--episodes", "2", "--json"])
+    (row,) = json.loads(out.stdout)["rows"]
+    assert (row["scenario"], row["density"], row["directive_at_s"], row["mask_preset"]) == ("short", 2.0, 3.0, "sim")
+    assert row["avg_speed_asked_of"] == 2 * 15
+
+
+def test_without_words_the_ego_keeps_its_lane_and_the_speed_with_which_it_began() -> None:
+    scenario = replace(SCENARIOS["highway"], flows=(), duration_s=6.0)
+    silent, told = (drive("rule", scenario, [1000], directive_at_s=at)[0] for at in (6.0, 0.0))
+    assert (silent.asked_ticks, told.asked_ticks) == (0, 90)
+    assert silent.max_speed < 26.0 < told.max_speed
+    assert silent.lane_flips == 0
+
+
+def test_an_unknown_preset_is_refused_with_the_choice() -> None:
+    with pytest.raises(ValueError, match="sim"):
+        drive("ours", SCENARIOS["merge"], [1000], mask_preset="lunar")
+
+
 def test_a_repeated_wish_gives_every_agent_one_row_each_that_names_it() -> None:
     asked = ["evaluate", "--scenario", "merge", "--agent", "rule", "--agent", "idm", "--wish", "10", "--wish", "15"]
     rows = json.loads(CliRunner().invoke(app, [*asked, "--episodes", "1", "--json"]).stdout)["rows"]
