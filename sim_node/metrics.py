@@ -1,6 +1,7 @@
 """What is measured of an episode, defined once: for the running simulator, for evaluation and for training.
 
-Everything is of the ego, along the road, at the tick rate; axes: S scenes, V vehicles. An episode's numbers:
+Everything is of the ego, along the road, at the tick rate; axes: S scenes, V vehicles. `results` has the numbers of an
+episode and of many, `ride` makes one score of them. An episode's numbers:
 
 * success: no collision and every condition of `Scenario.success` at the end.
 * collision, ego-fault or struck: struck means that the other car came from behind while the ego kept its lane, or
@@ -13,7 +14,14 @@ Everything is of the ego, along the road, at the tick rate; axes: S scenes, V ve
   the target lane; oncoming cars count; closing above 0.1 m/s only; at most 100 s; a collision gives 0.
 * headway: bumper gap / own speed to the leader in the ego's lane, mean over the ticks that have one within 100 m and
   a speed above 1 m/s [s]; nan without any.
+* headway under 1 s: of the ticks with a leader of the ego's direction in its lane, within 100 m, those in which the
+  bumper gap is less than the way of one second.
 * progress: distance driven [m]. lane changes: how often the target lane left the ego's lane.
+* lane flips: ticks at which the target lane is another than at the tick before. A change that is finished is one flip;
+  one that is given up is two, and each time that it is taken up and given up again two more.
+* changes given up: flips back to the lane that the running change began from. per minute: of driving.
+* sign changes of the acceleration: it was above `SIGN_MPS2` or below minus that, and is now on the other side; what
+  lies between changes nothing, so that numerical noise does not count.
 * lane compliance: share of episodes that reached the wished lane (any lane where none is wished). It was feasible
   where that lane was reached, or where in `LANE_OPEN_S` or more in all the ego held its lane and the mask left the next
   change towards the wished one open. Without a mask every change is: then it is feasible wherever the lane exists.
@@ -21,37 +29,48 @@ Everything is of the ego, along the road, at the tick rate; axes: S scenes, V ve
   car less than `BLOCKED_S` ahead, no lane change and no lane's end near, and that for long enough to get there at
   `ADAPT_MPS2`.
 * time to comply: seconds until the wished lane was first reached (nan: never); in lane: share of ticks in it.
+* fulfilled: the wish was once met. By its kind at the moment at which it was made: to overtake a car, when that car is
+  behind and the ego is back in its own lane; a lane, when the ego is in it; a speed alone, when the ego is within
+  0.5 m/s of it, or rid of the slower car that was its leader then: in another lane, or past it. Never complied: not
+  once until the end.
 * override share: ticks in which the mask decided against the driver.
+* decisions: ticks in which the set-points were not merely held. With choice: two or more actions were open. Closed by
+  the mask, by the wish: the action that the driver preferred was closed for that reason.
+
+A wish may come after the start. What is said of wishes counts from the tick that follows it; `asked` are these ticks.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.driving.intent import ANY_LANE, SPEED_TOLERANCE_MPS
 from schemas.driving.measures import TTC_CAP_S
-from schemas.driving.road import HZ, ID, LANE, LANE_END, VX, VY, X, Y, gap_between, lane_ends, lane_table
+from schemas.driving.road import HZ, ID, LANE, LANE_END, VX, VY, X, Y, lane_ends, lane_table
+from sim_node.obedience import HEADWAY_SIGHT_M, PASSED_M, Obedience, next_car
+from sim_node.obedience import leader as leader
+from sim_node.results import EpisodeResult
+from sim_node.ride import Ride, ride_score
 from sim_node.scenarios.scenario import Scenario
 
 CLOSING_MIN_MPS = 0.1
-HEADWAY_SIGHT_M = 100.0
 SIDEWAYS_MPS = 0.3
 ADAPT_MPS2, ADAPT_S = 1.0, 4.0
 """A wished speed is due after its distance at this pace, a step of 1 m/s a second, and so long to settle."""
-LANE_OPEN_S = 1.0
+CLOSE_S = 1.0
+"""A leader nearer than the way of this time is followed too closely."""
+SIGN_MPS2 = 0.1
 BLOCKED_S = 5.0
 ENDS_M = 300.0
 """Nearer to a lane's end than this, speed is for finding a gap."""
 FIRST_LEAD = 1
 """Id of the car that `Success.pass_first_lead` is about."""
-PASSED_M = 5.0
-"""The first lead is passed once the centres are this far apart: the bumpers no longer overlap."""
+
+COUNTS = (*("led", "close", "flips", "given_up", "sign", "signs"), *("decisions", "choices", "by_mask", "by_wish"))
+"""What begins at 0."""
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -59,57 +78,13 @@ Bools = NDArray[np.bool_]
 Rows = NDArray[np.float32]
 
 
-@dataclass(frozen=True, kw_only=True)
-class EpisodeResult:
-    """One episode's numbers; see the module for their definitions."""
+class Settled(NamedTuple):
+    """How an action of a tick came about, (S,) each; see the module for what counts."""
 
-    success: bool
-    collided: bool
-    struck: bool
-    passed: bool
-    ticks: int
-    avg_speed: float
-    max_speed: float
-    min_speed: float
-    accel_sum: float
-    accel_square_sum: float
-    jerk_rms: float
-    min_ttc_s: float
-    headway_s: float
-    progress_m: float
-    lane_changes: int
-    in_lane: float
-    """Share of ticks in the wished lane."""
-    speed_ticks: int
-    """In which the wished speed was feasible; see the module."""
-    speed_complied: int
-    """Of those, within 0.5 m/s of it."""
-    time_to_comply_s: float
-    lane_open_s: float
-    """In which the ego held its lane and could have begun to change towards the wished one."""
-    override_share: float
-
-    @property
-    def lane_complied(self) -> bool:
-        """It reached the wished lane."""
-        return math.isfinite(self.time_to_comply_s)
-
-    @property
-    def lane_feasible(self) -> bool:
-        """It could have reached the wished lane, or did."""
-        return self.lane_complied or self.lane_open_s >= LANE_OPEN_S
-
-
-def leader(rows: Rows, lane: Ints) -> tuple[Floats, Floats]:
-    """(gap [m], closing speed [m/s]) to the nearest car ahead in `lane` (S,); gap inf where there is none."""
-    columns = np.moveaxis(rows, -1, 0)
-    gap = np.asarray(gap_between(columns[:, :, :1], columns))
-    ahead = (rows[..., ID] > 0) & (rows[..., LANE] == lane[:, None]) & (gap > 0)
-    nearest = np.where(ahead, gap, np.inf).argmin(axis=1)
-    each = np.arange(len(rows))
-    found = ahead[each, nearest]
-    closing = rows[:, 0, VX] - rows[each, nearest, VX]
-    return np.where(found, gap[each, nearest], np.inf).astype(np.float64), closing.astype(np.float64)
+    decided: Bools
+    choice: Bools
+    by_mask: Bools
+    by_wish: Bools
 
 
 class Recorder:
@@ -143,10 +118,23 @@ class Recorder:
     struck: Bools
     passed: Bools
     home: Ints
+    led: Ints
+    close: Ints
+    flips: Ints
+    given_up: Ints
+    aimed: Ints
+    held: Ints
+    sign: Ints
+    signs: Ints
+    decisions: Ints
+    choices: Ints
+    by_mask: Ints
+    by_wish: Ints
 
     def __init__(self, scenario: Scenario, scenes: int, hz: int = HZ) -> None:
         self.scenario, self.hz = scenario, hz
         self.scenes = scenes
+        self.obedience = Obedience(scenario.ego.speed_ceiling_mps, scenes, hz)
         lanes = lane_table(scenario.lanes_at(0.0))
         self._ends = np.array([lanes[k][LANE_END] if lane_ends(lanes, k) else np.inf for k in range(len(lanes))])
         self.restart(np.ones(scenes, np.bool_))
@@ -181,10 +169,14 @@ class Recorder:
             "struck": False,
             "passed": False,
             "home": -1,
+            "aimed": -1,
+            "held": -1,
+            **dict.fromkeys(COUNTS, 0),
         }
         for name, value in fresh.items():
             array = self.__dict__.setdefault(name, np.full(self.scenes, value))
             array[which] = value
+        self.obedience.restart(which)
 
     def tick(
         self,
@@ -198,12 +190,19 @@ class Recorder:
         wish_speed: Floats | None = None,
         overridden: Bools | None = None,
         way_open: Bools | None = None,
+        *,
+        wish_headway: Floats | None = None,
+        pass_id: Ints | None = None,
+        asked: Bools | None = None,
+        settled: Settled | None = None,
     ) -> None:
         """Take in the state after one tick: rows (S, V, 9), the rest (S,); scenes that are not `active` stay as is.
 
-        way_open: where the ego could have begun a change towards the wished lane at this tick.
+        way_open: where the ego could have begun a change towards the wished lane at this tick; pass_id: the car to
+        overtake, or `NOBODY`; asked: where there is a wish by now, everywhere by default.
         """
         a = active
+        asked = a if asked is None else a & asked
         ends = self._ends
         ego = rows[:, 0]
         lane = ego[:, LANE].astype(np.int64)
@@ -234,10 +233,16 @@ class Recorder:
         changing = previous_lane >= 0
         self.changes += a & changing & ~self.changing
         self.changing = np.where(a, changing, self.changing)
+        self._watch(rows, accel, target_lane, previous_lane, a)
+        settled_home = (lane == self.home) & (target_lane == self.home) & ~changing
+        self.obedience.tick(rows, wish_lane, wish_speed, wish_headway, pass_id, settled_home, a, asked)
+        if settled is not None:
+            for total, now in zip((self.decisions, self.choices, self.by_mask, self.by_wish), settled, strict=True):
+                total += a & settled.decided & now
         if wish_lane is not None:
             there = (wish_lane == ANY_LANE) | (lane == wish_lane)
-            self.in_lane += a & there
-            self.complied = np.where(a & there & np.isnan(self.complied), self.ticks / self.hz, self.complied)
+            self.in_lane += asked & there
+            self.complied = np.where(asked & there & np.isnan(self.complied), self.obedience.since_s, self.complied)
         if wish_speed is not None:
             free = (
                 ~changing
@@ -248,62 +253,107 @@ class Recorder:
             off = np.abs(speed - wish_speed)
             self.free = np.where(a & free, self.free + 1, np.where(a, 0, self.free))
             self.off = np.where(a & (self.free <= 1), off, self.off)
-            could = a & (self.free > (self.off / ADAPT_MPS2 + ADAPT_S) * self.hz)
+            could = asked & (self.free > (self.off / ADAPT_MPS2 + ADAPT_S) * self.hz)
             self.could_speed += could
             self.in_speed += could & (off <= SPEED_TOLERANCE_MPS)
         if way_open is not None:
-            self.could_lane += a & way_open
+            self.could_lane += asked & way_open
         if overridden is not None:
             self.overridden += a & overridden
         first = rows[..., ID] == FIRST_LEAD
         behind = (first & (rows[..., X] < x[:, None] - PASSED_M)).any(axis=1)
-        settled = (lane == self.home) & (target_lane == self.home) & ~changing
-        self.passed |= a & behind & settled
+        self.passed |= a & behind & settled_home
         new = a & crashed & ~self.collided
         if new.any():
             self.collided |= new
             self.min_ttc = np.where(new, 0.0, self.min_ttc)
             self.struck |= new & _struck(rows, changing)
 
+    def _watch(self, rows: Rows, accel: Floats, target_lane: Ints, previous_lane: Ints, a: Bools) -> None:
+        """Count flips of the target lane, signs of the acceleration, and following too closely."""
+        self.aimed = np.where(a & (self.aimed < 0), self.home, self.aimed)
+        self.held = np.where(a & (self.held < 0), self.home, self.held)
+        flip = a & (target_lane != self.aimed)
+        self.flips += flip
+        self.given_up += flip & (target_lane == self.held)
+        self.aimed = np.where(a, target_lane, self.aimed)
+        self.held = np.where(a & (previous_lane < 0), target_lane, self.held)
+        sign = (accel > SIGN_MPS2).astype(np.int64) - (accel < -SIGN_MPS2)
+        self.signs += a & (sign * self.sign < 0)
+        self.sign = np.where(a & (sign != 0), sign, self.sign)
+        gap, _, _ = next_car(rows, rows[:, 0, LANE].astype(np.int64), ours=True)
+        led = a & (gap <= HEADWAY_SIGHT_M)
+        self.led += led
+        self.close += led & (gap < CLOSE_S * rows[:, 0, VX])
+
     def results(self, which: Bools | None = None) -> list[EpisodeResult]:
         """The episodes of these scenes (all by default) so far, one by one."""
-        out = []
-        goal = self.scenario.success
-        for s in range(self.scenes) if which is None else np.flatnonzero(which):
-            n = max(int(self.ticks[s]), 1)
-            mean = float(self.speed[s]) / n
-            reached = not goal.reach_lanes or self.x[s] > goal.reach_x_m
-            out.append(
-                EpisodeResult(
-                    success=bool(
-                        not self.collided[s]
-                        and mean >= goal.mean_speed_mps
-                        and reached
-                        and (self.passed[s] or not goal.pass_first_lead)
-                    ),
-                    collided=bool(self.collided[s]),
-                    struck=bool(self.struck[s]),
-                    passed=bool(self.passed[s]),
-                    ticks=n,
-                    avg_speed=mean,
-                    max_speed=float(self.fastest[s]),
-                    min_speed=float(self.slowest[s]),
-                    accel_sum=float(self.accel[s]),
-                    accel_square_sum=float(self.accel_square[s]),
-                    jerk_rms=float(np.sqrt(self.jerk_square[s] / n)),
-                    min_ttc_s=float(self.min_ttc[s]),
-                    headway_s=float(self.headway[s] / self.headway_n[s]) if self.headway_n[s] else float("nan"),
-                    progress_m=float(self.x[s] - self.start_x[s]),
-                    lane_changes=int(self.changes[s]),
-                    in_lane=float(self.in_lane[s]) / n,
-                    speed_ticks=int(self.could_speed[s]),
-                    speed_complied=int(self.in_speed[s]),
-                    time_to_comply_s=float(self.complied[s]),
-                    lane_open_s=int(self.could_lane[s]) / self.hz,
-                    override_share=float(self.overridden[s]) / n,
-                )
-            )
-        return out
+        return [self._result(int(s)) for s in (range(self.scenes) if which is None else np.flatnonzero(which))]
+
+    def _result(self, s: int) -> EpisodeResult:
+        goal, n, hz = self.scenario.success, max(int(self.ticks[s]), 1), self.hz
+        obedience, minutes = self.obedience, n / hz / 60.0
+        asked = int(obedience.asked[s])
+        mean = float(self.speed[s]) / n
+        reached = not goal.reach_lanes or self.x[s] > goal.reach_x_m
+        passed, collided, struck = bool(self.passed[s]), bool(self.collided[s]), bool(self.struck[s])
+        success = bool(
+            not collided and mean >= goal.mean_speed_mps and reached and (passed or not goal.pass_first_lead)
+        )
+        jerk_rms = float(np.sqrt(self.jerk_square[s] / n))
+        speed_ticks = int(self.could_speed[s])
+        ride = Ride(
+            own_fault=collided and not struck,
+            success=success,
+            min_ttc_s=float(self.min_ttc[s]),
+            close_share=float(self.close[s]) / n,
+            jerk_rms=jerk_rms,
+            accel_rms=float(np.sqrt(self.accel_square[s] / n)),
+            accel_sign_changes_per_min=float(self.signs[s]) / minutes,
+            changes_given_up_per_min=float(self.given_up[s]) / minutes,
+            progress=obedience.progress(s),
+            asked=asked > 0,
+            fulfilled_s=float(obedience.fulfilled_s[s]),
+            speed_kept=float(self.in_speed[s]) / speed_ticks if speed_ticks else float("nan"),
+            headway_kept=obedience.headway_kept(s),
+        )
+        return EpisodeResult(
+            success=success,
+            collided=collided,
+            struck=struck,
+            passed=passed,
+            ticks=n,
+            seconds=n / hz,
+            avg_speed=mean,
+            max_speed=float(self.fastest[s]),
+            min_speed=float(self.slowest[s]),
+            accel_sum=float(self.accel[s]),
+            accel_square_sum=float(self.accel_square[s]),
+            jerk_rms=jerk_rms,
+            min_ttc_s=float(self.min_ttc[s]),
+            headway_s=float(self.headway[s] / self.headway_n[s]) if self.headway_n[s] else float("nan"),
+            progress_m=float(self.x[s] - self.start_x[s]),
+            lane_changes=int(self.changes[s]),
+            in_lane=float(self.in_lane[s]) / max(asked, 1),
+            speed_ticks=speed_ticks,
+            speed_complied=int(self.in_speed[s]),
+            time_to_comply_s=float(self.complied[s]),
+            lane_open_s=int(self.could_lane[s]) / hz,
+            override_share=float(self.overridden[s]) / n,
+            lane_flips=int(self.flips[s]),
+            changes_given_up=int(self.given_up[s]),
+            accel_sign_changes=int(self.signs[s]),
+            led_ticks=int(self.led[s]),
+            close_ticks=int(self.close[s]),
+            asked_ticks=asked,
+            asked_speed=float(obedience.speed[s]) / asked if asked else float("nan"),
+            fulfilled_s=float(obedience.fulfilled_s[s]),
+            decisions=int(self.decisions[s]),
+            decisions_with_choice=int(self.choices[s]),
+            decisions_closed_by_mask=int(self.by_mask[s]),
+            decisions_closed_by_wish=int(self.by_wish[s]),
+            ride_score=ride_score(ride),
+        )
 
 
 def _struck(rows: Rows, changing: Bools) -> Bools:
@@ -318,48 +368,3 @@ def _struck(rows: Rows, changing: Bools) -> Bools:
     from_behind = (dx[each, other] < -2.0) & (near[:, VX] > rows[:, 0, VX])
     sideways = -np.sign(dy[each, other]) * (near[:, VY] - rows[:, 0, VY]) > SIDEWAYS_MPS
     return np.asarray(touching & ~changing & (from_behind | sideways))
-
-
-def summarise(episodes: Sequence[EpisodeResult]) -> dict[str, float]:
-    """The table's numbers over several episodes; speeds and accelerations weighted by ticks."""
-    ticks = np.array([e.ticks for e in episodes], np.float64)
-    total = ticks.sum()
-
-    def mean(name: str) -> float:
-        values = np.array([getattr(e, name) for e in episodes], np.float64)
-        return float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
-
-    def weighted(name: str) -> float:
-        return float((np.array([getattr(e, name) for e in episodes]) * ticks).sum() / total)
-
-    a_mean = sum(e.accel_sum for e in episodes) / total
-    accel_var = max(sum(e.accel_square_sum for e in episodes) / total - a_mean**2, 0.0)
-    ttc = np.array([e.min_ttc_s for e in episodes])
-    due = sum(e.speed_ticks for e in episodes)
-    feasible = sum(e.lane_feasible for e in episodes)
-    return {
-        "episodes": len(episodes),
-        "success": float(np.mean([e.success for e in episodes])),
-        "ego_fault_collisions": sum(e.collided and not e.struck for e in episodes),
-        "struck_collisions": sum(e.struck for e in episodes),
-        "avg_speed": weighted("avg_speed"),
-        "max_speed": mean("max_speed"),
-        "min_speed": mean("min_speed"),
-        "accel_std": float(np.sqrt(accel_var)),
-        "accel_var": float(accel_var),
-        "jerk_rms": weighted("jerk_rms"),
-        "min_ttc_mean": float(ttc.mean()),
-        "min_ttc_median": float(np.median(ttc)),
-        "min_ttc_p5": float(np.percentile(ttc, 5)),
-        "headway_s": mean("headway_s"),
-        "progress_m": mean("progress_m"),
-        "lane_changes": mean("lane_changes"),
-        "lane_compliance": float(np.mean([e.lane_complied for e in episodes])),
-        "lane_feasible": feasible / len(episodes),
-        "lane_compliance_feasible": sum(e.lane_complied for e in episodes) / feasible if feasible else float("nan"),
-        "speed_compliance": sum(e.speed_complied for e in episodes) / due if due else float("nan"),
-        "speed_ticks": due,
-        "time_to_comply_s": mean("time_to_comply_s"),
-        "in_wished_lane": weighted("in_lane"),
-        "override_share": weighted("override_share"),
-    }

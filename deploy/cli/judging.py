@@ -19,6 +19,7 @@ commands = typer.Typer()
     "  fastslow evaluate --agent rule --agent idm --scenario merge\n\n"
     "  fastslow evaluate --agent ours --policy mine:load --policy constant:faster\n\n"
     "  fastslow evaluate --checkpoint old.safetensors --checkpoint new.safetensors --rows episodes.csv\n\n"
+    "  fastslow evaluate --scenario highway --density 2 --directive-at 10 --first-seed 5200\n\n"
     "  fastslow evaluate --scenario highway --wish 23 --wish 25 --wish 28 --plot tradeoff.png\n\n" + EXITS
 )
 def evaluate(
@@ -39,8 +40,14 @@ def evaluate(
         ),
     ] = None,
     scenario: Annotated[
-        list[str] | None, typer.Option(help="Where; may be repeated.", show_default="highway, merge, two-way")
+        list[str] | None,
+        typer.Option(
+            metavar="NAME|FILE.toml",
+            help="Where: a road's name, or a file that changes one; may be repeated.",
+            show_default="highway, merge, two-way",
+        ),
     ] = None,
+    density: Annotated[float, typer.Option(help="Of the traffic: times the road's own, 0.2 to 3.")] = 1.0,
     everything: Annotated[bool, typer.Option("--all", help="Every agent on every scenario.")] = False,
     checkpoint: Annotated[
         list[Path] | None,
@@ -57,6 +64,15 @@ def evaluate(
         str,
         typer.Option(help="Asked for: full speed in any lane (hurry), in a drawn lane (lane), or any wish (random)."),
     ] = "hurry",
+    directive_at: Annotated[
+        float, typer.Option(min=0.0, metavar="SECONDS", help="When it is asked for; without words until then.")
+    ] = 0.0,
+    mask_preset: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="What the mask assumes of others.", show_default="what the policy was trained with"
+        ),
+    ] = None,
     wish: Annotated[
         list[float] | None,
         typer.Option(
@@ -117,6 +133,9 @@ def evaluate(
             first_seed=first_seed,
             checkpoint=None if pair or not checkpoints else checkpoints[0],
             directive=cast(Directive, directive),
+            directive_at_s=directive_at,
+            mask_preset=mask_preset,
+            density=density,
             wishes_mps=wish or [None],
             progress=lambda text: typer.echo(text, err=True),
             each=each,

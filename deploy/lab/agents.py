@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from deploy.lab.episodes import DIRECTIVES, Directive, Step, by_the_second, by_the_tick, load, record, task_of, unasked
+from deploy.lab.episodes import DIRECTIVES, Directive, Words, always, by_the_tick, record, task_of
+from fast_node.mask import PRESETS
 from fast_node.policies.attention import read_sidecar
 from fast_node.policies.load import OURS, load_policy
 from fast_node.policies.mlp import BASELINES
@@ -16,8 +15,9 @@ from fast_node.training.rollout import Fleet
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import MetaAction
 from sim_node.engine.batched import Batched
-from sim_node.metrics import EpisodeResult
+from sim_node.results import EpisodeResult
 from sim_node.scenarios import Scenario
+from sim_node.scenarios.scenario import streams
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,6 @@ class Agent:
     policy: str
     """As `load_policy` takes it; "idm": highway-env's own driver; "brake": the emergency brake, held."""
     masked: bool = False
-    by_the_second: bool = False
-    """Decides once a second and holds, instead of at each tick."""
 
 
 AGENTS: dict[str, Agent] = {
@@ -46,7 +44,7 @@ AGENTS: dict[str, Agent] = {
     "random": Agent("draws an action every second", "random:0"),
     "random-masked": Agent("the same, behind the mask", "random:0", masked=True),
     **{
-        f"{name}-bare": Agent(f"{name.upper()} as published, one decision a second", f"{name}-bare", by_the_second=True)
+        f"{name}-bare": Agent(f"{name.upper()} as published", f"{name}-bare")
         for name in BASELINES
     },
     **{
@@ -85,13 +83,18 @@ def drive(
     checkpoint: Path | None = None,
     directive: Directive = "hurry",
     wish_mps: float | None = None,
+    directive_at_s: float = 0.0,
+    mask_preset: str | None = None,
 ) -> list[EpisodeResult]:
-    """One episode per seed, with that seed's traffic and a directive from the start (see `Directive`), and with
-    another wished speed than that where one is given. `checkpoint` takes the place of the shipped policy of the agent
-    that it was trained as; ours also brings the mask's preset, for whoever drives behind the mask.
+    """One episode per seed, with that seed's traffic and a directive (see `Directive`) from the start or from
+    `directive_at_s` on, without words until then, and with another wished speed than the directive's where one is
+    given. `checkpoint` takes the place of the shipped policy of the agent that it was trained as; ours also brings the
+    mask's preset, for whoever drives behind the mask, unless another is given.
 
-    Raises `ConfigError` for an unusable policy or checkpoint and ValueError for an unknown agent.
+    Raises `ConfigError` for an unusable policy or checkpoint and ValueError for an unknown agent or preset.
     """
+    if mask_preset is not None and mask_preset not in PRESETS:
+        raise ValueError(f"mask preset {mask_preset!r} is not one of: {', '.join(PRESETS)}")
     if directive not in DIRECTIVES:
         raise ValueError(f"directive {directive!r} is not one of: {', '.join(DIRECTIVES)}")
     if isinstance(agent, str) and agent not in AGENTS:
@@ -100,19 +103,17 @@ def drive(
     own = trained_as(checkpoint) if checkpoint else None
     replaced = checkpoint if own == name or (own == "ours" and who.policy == OURS) else None
     policy = load_policy("constant:cruise" if who.policy in ("idm", "brake") else str(replaced or who.policy))
-    preset = load_policy(str(checkpoint)).mask_preset if own == "ours" else policy.mask_preset
+    preset = mask_preset or (load_policy(str(checkpoint)) if own == "ours" else policy).mask_preset
     world = Batched(scenario, len(seeds), 0, ego="idm" if who.policy == "idm" else "executor")
     fleet = Fleet(world, task_of(scenario, preset), masked=who.masked)
     for i, seed in enumerate(seeds):
-        load(fleet, scenario, i, seed, directive)
-    if wish_mps is not None:
-        fleet.v_des[:] = wish_mps
-    if who.policy == "brake":
-        brake = np.full(len(seeds), int(MetaAction.EMERGENCY_BRAKE))
-        step: Step = unasked(fleet, lambda tick: brake)
+        world.load(i, scenario.spawn(streams(seed)[0]))
+    words = Words(fleet, scenario, seeds, directive, directive_at_s, wish_mps)
+    if who.policy in ("idm", "brake"):
+        step = always(fleet, MetaAction.EMERGENCY_BRAKE if who.policy == "brake" else MetaAction.CRUISE)
     else:
-        step = (by_the_second if who.by_the_second else by_the_tick)(fleet, policy.logits)
-    return record(fleet, scenario, step)
+        step = by_the_tick(fleet, policy.logits)
+    return record(fleet, scenario, step, words)
 
 
 def behind_the_mask(spec: str) -> Agent:

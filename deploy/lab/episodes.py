@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fast_node.choice import HELD, MASKED, WISHED
+from fast_node.config import FastConfig
 from fast_node.coordination import ASSERTIVE_HEADWAY_S
 from fast_node.mask import OPEN
 from fast_node.training.rollout import Driver, Fleet, Task
 from schemas.driving.intent import ANY_LANE
-from schemas.driving.road import AGAINST_MPS, DECISION_TICKS, HZ, ID, LANE, NOBODY, VX, X, lane_table, next_ahead
-from schemas.wire.messages import MetaAction
+from schemas.driving.road import (
+    AGAINST_MPS,
+    DECISION_TICKS,
+    HZ,
+    ID,
+    LANE,
+    NOBODY,
+    VX,
+    X,
+    home_lane,
+    lane_table,
+    next_ahead,
+)
+from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 from sim_node.engine.batched import Batched
-from sim_node.metrics import EpisodeResult, Recorder
+from sim_node.metrics import Recorder, Settled
+from sim_node.results import EpisodeResult
 from sim_node.scenarios import Scenario
 from sim_node.scenarios.scenario import draw_wish, streams
 
@@ -26,8 +41,9 @@ Directive = Literal["hurry", "lane", "random"]
 a lane drawn for the seed, or any lane and any speed drawn for the seed."""
 DIRECTIVES: tuple[Directive, ...] = get_args(Directive)
 Logits = Callable[[NDArray[np.float32]], NDArray[np.float32]]
-Step = Callable[[int], NDArray[np.bool_]]
-"""Advances a fleet at a tick, counted from 0, and says in which scenes the mask decided against the driver."""
+Step = Callable[[int], Settled | None]
+"""Advances a fleet at a tick, counted from 0, and says how its actions came about; None: nobody decides."""
+WORDLESS_HEADWAY_S = FastConfig().default_headway_s
 
 
 def task_of(scenario: Scenario, preset: str = "sim") -> Task:
@@ -61,20 +77,58 @@ def load(fleet: Fleet, scenario: Scenario, scene: int, seed: int, directive: Dir
     """Put that seed's traffic and directive into one scene of a fleet of `Batched` scenes."""
     world = fleet.world
     assert isinstance(world, Batched)
-    traffic, wishes, _ = streams(seed)
-    world.load(scene, scenario.spawn(traffic))
+    world.load(scene, scenario.spawn(streams(seed)[0]))
+    direct(fleet, scenario, scene, seed, directive)
+
+
+def direct(fleet: Fleet, scenario: Scenario, scene: int, seed: int, directive: Directive) -> None:
+    """Give the ego of one scene that seed's directive, for what is on the road now."""
+    world = fleet.world
+    home = home_lane(fleet.lanes[scene], int(world.target_lane[scene]))
     fleet.told_lane[scene], fleet.pass_id[scene], fleet.v_des[scene], fleet.headway[scene] = directed(
-        directive, scenario, wishes, world.rows[scene], int(world.target_lane[scene])
+        directive, scenario, streams(seed)[1], world.rows[scene], home
     )
 
 
-def record(fleet: Fleet, scenario: Scenario, step: Callable[[int], NDArray[np.bool_] | None]) -> list[EpisodeResult]:
-    """Drive every scene of a fleet to its end with a `Step`, and measure it."""
+class Words:
+    """When each scene's directive comes. Until then the ego drives without words, as the fast node does: at the
+    speed with which it began."""
+
+    def __init__(
+        self,
+        fleet: Fleet,
+        scenario: Scenario,
+        seeds: Sequence[int],
+        directive: Directive,
+        at_s: float = 0.0,
+        wish_mps: float | None = None,
+    ) -> None:
+        self._fleet, self._scenario, self._seeds, self._directive = fleet, scenario, seeds, directive
+        self._at_tick, self._wish_mps = round(at_s * HZ), wish_mps
+        fleet.v_des[:] = np.round(fleet.world.target_speed)
+
+    def at(self, tick: int) -> bool:
+        """Say what is to be said at this tick; whether the directive has been given by now."""
+        fleet = self._fleet
+        if tick < self._at_tick:
+            fleet.pass_id[:], fleet.headway[:] = NOBODY, WORDLESS_HEADWAY_S
+            fleet.told_lane[:] = ANY_LANE
+        elif tick == self._at_tick:
+            for s, seed in enumerate(self._seeds):
+                direct(fleet, self._scenario, s, seed, self._directive)
+            if self._wish_mps is not None:
+                fleet.v_des[:] = self._wish_mps
+        return tick >= self._at_tick
+
+
+def record(fleet: Fleet, scenario: Scenario, step: Step, words: Words | None = None) -> list[EpisodeResult]:
+    """Drive every scene of a fleet to its end with a `Step`, and measure it. words: None: they have been said."""
     w = fleet.world
     recorder, active = Recorder(scenario, len(fleet.wish)), np.ones(len(fleet.wish), np.bool_)
     for tick in range(round(scenario.duration_s * HZ)):
+        told = words is None or words.at(tick)
         lane, held = w.target_lane.copy(), w.previous_lane < 0
-        overridden = step(tick)
+        settled = step(tick)
         way_open = held & way_is_open(fleet, lane)
         if tick % DECISION_TICKS == 0 and not scenario.wish_lanes:
             overtake_on(fleet)
@@ -87,8 +141,12 @@ def record(fleet: Fleet, scenario: Scenario, step: Callable[[int], NDArray[np.bo
             active,
             fleet.wish,
             fleet.v_des,
-            overridden,
+            None if settled is None else settled.by_mask,
             way_open,
+            wish_headway=fleet.headway,
+            pass_id=fleet.pass_id,
+            asked=np.full(len(active), told),
+            settled=settled,
         )
         active &= ~fleet.over()
         if not active.any():
@@ -108,26 +166,26 @@ def by_the_tick(fleet: Fleet, logits: Logits) -> Step:
     """As the fast node drives: it looks, and may decide, at every tick."""
     driver = Driver(fleet, logits)
 
-    def step(tick: int) -> NDArray[np.bool_]:
+    def step(tick: int) -> Settled:
         driver.tick()
-        return driver.overridden
+        by = driver.by
+        return Settled(by != HELD, has_choice(fleet), by == MASKED, by == WISHED)
 
     return step
 
 
-def by_the_second(fleet: Fleet, logits: Logits) -> Step:
-    """As one that knows no mask has learnt to."""
-    return by_the_tick(fleet, logits)
+def has_choice(fleet: Fleet) -> NDArray[np.bool_]:
+    """(S,) where two or more of the policy's actions were open when the fleet looked last."""
+    return np.asarray((fleet.rule[:, :POLICY_ACTIONS] == OPEN).sum(axis=1) > 1)
 
 
-def unasked(fleet: Fleet, act: Callable[[int], NDArray[np.int64]]) -> Step:
-    """Actions as they come, with nobody to decide against them."""
-    never = np.zeros(len(fleet.wish), np.bool_)
+def always(fleet: Fleet, action: MetaAction) -> Step:
+    """One action at every tick, whatever happens: nobody decides."""
+    actions = np.full(len(fleet.wish), int(action))
 
-    def step(tick: int) -> NDArray[np.bool_]:
+    def step(tick: int) -> None:
         fleet.look()
-        fleet.world.tick(act(tick), fleet.v_des, fleet.cap_mps)
-        return never
+        fleet.world.tick(actions, fleet.v_des)
 
     return step
 

@@ -14,8 +14,9 @@ from deploy.lab.language_driver import drive_dilu, memory, running_model
 from deploy.lab.paired import Episode, episode_of
 from deploy.lab.statistics import wilson95
 from schemas.runtime.process import ConfigError
-from sim_node.metrics import EpisodeResult, summarise
-from sim_node.scenarios import SCENARIOS, Scenario
+from sim_node.results import EpisodeResult, summarise
+from sim_node.scenario_file import find_scenario
+from sim_node.scenarios import Scenario
 
 SCHEMA = "fastslow.evaluate/1"
 
@@ -29,12 +30,18 @@ def evaluate_all(
     first_seed: int = FIRST_SEED,
     checkpoint: Path | None = None,
     directive: Directive = "hurry",
+    directive_at_s: float = 0.0,
+    mask_preset: str | None = None,
+    density: float = 1.0,
     wishes_mps: Sequence[float | None] = (None,),
     progress: Callable[[str], None] = lambda _: None,
     each: list[Episode] | None = None,
 ) -> dict[str, Any]:
     """A row per scenario, agent and wished speed [m/s] (None: as the directive has it), over the seeds from
     `first_seed`; per scenario the seeds that nobody survived. The result's own `wish_mps` is None for several wishes.
+
+    `scenarios`: names or files, as `find_scenario` takes them. `directive_at_s`, `mask_preset`: see `drive`. `density`:
+    times each scenario's own.
 
     `policies`, as `load_policy` takes them, drive behind the mask and are agents under these names. Without agents and
     policies the one whose policy is in `checkpoint` drives, or ours. Raises `ConfigError` for a checkpoint that none
@@ -47,24 +54,28 @@ def evaluate_all(
         raise ConfigError(f"{checkpoint.name} drives as {own}, not as {', '.join(agents)}: choose --agent {own}")
     seeds = range(first_seed, first_seed + episodes)
     rows, unsurvived = [], {}
-    for name in scenarios:
-        if name not in SCENARIOS:
-            raise ValueError(f"scenario {name!r} is not one of: {', '.join(SCENARIOS)}")
+    for scenario in [find_scenario(spec) for spec in scenarios]:
+        name = scenario.name
+        road = scenario if density == 1.0 else scenario.denser(density)
         died = set(range(episodes))
         drivers = [*((agent, False) for agent in agents), *((spec, True) for spec in policies)]
         for (agent, is_policy), wish_mps in itertools.product(drivers, wishes_mps):
             progress(f"{agent} on {name}" + ("" if wish_mps is None else f", {wish_mps:g} m/s wished"))
             more: dict[str, Any] = {}
             if agent in LANGUAGE and not is_policy:
-                results, more["llm"] = _drive_language(agent, SCENARIOS[name], seeds, directive, wish_mps)
+                if directive_at_s or mask_preset:
+                    raise ValueError(f"{agent} has its directive from the start, and no mask")
+                results, more["llm"] = _drive_language(agent, road, seeds, directive, wish_mps)
             else:
                 results = drive(
                     behind_the_mask(agent) if is_policy else agent,
-                    SCENARIOS[name],
+                    road,
                     seeds,
                     checkpoint=None if is_policy else checkpoint,
                     directive=directive,
                     wish_mps=wish_mps,
+                    directive_at_s=directive_at_s,
+                    mask_preset=mask_preset,
                 )
             if each is not None:
                 place = {"scenario": name, "agent": agent, "wish_mps": wish_mps, "directive": directive}
@@ -75,9 +86,12 @@ def evaluate_all(
                 {
                     "agent": agent,
                     "scenario": name,
-                    "speed_set": SCENARIOS[name].speed_set,
+                    "speed_set": scenario.speed_set,
                     "wish_mps": wish_mps,
                     "first_seed": first_seed,
+                    "density": density,
+                    "directive_at_s": directive_at_s,
+                    "mask_preset": mask_preset,
                     "success_ci95": wilson95(good, episodes),
                     **_numbers(summarise(results)),
                     **more,

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.lab.episodes import load, record, task_of
+from deploy.lab.episodes import has_choice, load, record, task_of
 from deploy.run.model_server import embedded_server
 from deploy.run.processes import choose_model
 from fast_node.policies.rule import rule_logits
@@ -33,7 +33,8 @@ from schemas.runtime.clock import NS, Clock, MonotonicClock
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction, Observation
 from sim_node.engine.batched import Batched
-from sim_node.metrics import EpisodeResult
+from sim_node.metrics import Settled
+from sim_node.results import EpisodeResult
 from sim_node.scenarios import SCENARIOS, Scenario
 from slow_node.baselines.dilu import Bank, Experience, build_prompt, describe, explain, parse
 from slow_node.llm.embedding import load_embedder
@@ -241,20 +242,23 @@ def _episode(world: World, driver: LanguageDriver, paused: bool) -> EpisodeResul
     waiting: tuple[int, MetaAction] | None = None
     ask_from = 0
 
-    def step(tick: int) -> None:
+    never = np.zeros(1, np.bool_)
+
+    def step(tick: int) -> Settled:
         nonlocal waiting, ask_from
-        meta = MetaAction.CRUISE
+        meta, decided = MetaAction.CRUISE, False
         if waiting is not None and waiting[0] <= tick:
-            meta, waiting = waiting[1], None
+            meta, waiting, decided = waiting[1], None, True
         if waiting is None and tick >= ask_from:
             action, took_s = driver.decide(world.observation(world.state(), 0, tick))
             ask_from = tick + DECISION_TICKS  # at most one question a second, as theirs
             if paused:
-                meta = action
+                meta, decided = action, True
             else:
                 waiting = tick + max(math.ceil(took_s * HZ), 1), action
         world.wish()
         world.batch.tick(np.full(1, int(meta)), world.fleet.v_des)
+        return Settled(np.full(1, decided), has_choice(world.fleet), never, never)
 
     return record(world.fleet, world.scenario, step)[0]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from deploy.lab.statistics import t_interval
-from sim_node.metrics import EpisodeResult
+from sim_node.results import EpisodeResult
 
 Episode = dict[str, Any]
 COMPARED = ("success", "collided", "avg_speed", "min_ttc_s", "jerk_rms", "override_share")

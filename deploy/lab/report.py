@@ -24,15 +24,18 @@ def table(result: dict[str, Any]) -> str:
     """The rows as plain text, one line each."""
     width = max(14, 2 + max(len(r["agent"]) for r in result["rows"]))
     lines = [
-        f"{'scenario':<16}{'agent':<{width}}{'wish':>6}{'success':>22}{'own':>5}{'hit':>5}{'speed':>7}{'a var':>7}"
-        f"{'min TTC':>9}{'lane ok':>9}{'feasible':>9}{'of these':>9}{'speed ok':>9}{'masked':>8}"
+        f"{'scenario':<16}{'agent':<{width}}{'wish':>6}{'success':>22}{'ride':>16}{'own':>5}{'hit':>5}{'speed':>7}"
+        f"{'a var':>7}{'min TTC':>9}{'lane ok':>9}{'feasible':>9}{'of these':>9}{'speed ok':>9}{'masked':>8}"
     ]
     for r in result["rows"]:
         low, high = r["success_ci95"]
         good = f"{100 * r['success']:.1f} % ({100 * low:.0f}-{100 * high:.0f})"
+        ride = f"{r['ride_score']:.1f}"
+        if r["ride_score_low"] is not None:
+            ride += f" ({r['ride_score_low']:.0f}-{r['ride_score_high']:.0f})"
         wish = "-" if r["wish_mps"] is None else f"{r['wish_mps']:g}"
         lines.append(
-            f"{r['scenario']:<16}{r['agent']:<{width}}{wish:>6}{good:>22}"
+            f"{r['scenario']:<16}{r['agent']:<{width}}{wish:>6}{good:>22}{ride:>16}"
             f"{r['ego_fault_collisions']:>5}{r['struck_collisions']:>5}"
             f"{r['avg_speed']:>7.2f}{r['accel_var']:>7.2f}{r['min_ttc_mean']:>9.2f}{100 * r['lane_compliance']:>8.1f}%"
             f"{_percent(r['lane_feasible']):>9}{_percent(r['lane_compliance_feasible']):>9}"

@@ -18,7 +18,7 @@ from fast_node.choice import MASKED
 from fast_node.mask.vocabulary import AHEAD, FACING, LEFT, RIGHT
 from schemas.driving.actions import held
 from schemas.driving.features import FEATURES, N_ROWS, Array, policy_input
-from schemas.driving.intent import ANY_LANE, intended_lane
+from schemas.driving.intent import ANY_LANE, intended_lane, unasked_lane
 from schemas.driving.measures import TTC_CAP_S, ttc_s
 from schemas.driving.reward import reward, shortfall
 from schemas.driving.road import DECISION_TICKS, HZ, LANE, LANE_END, LANE_Y, VX, X, gap_between
@@ -66,7 +66,10 @@ def _look_all(
         if not masked:
             rule[s] = mask.OPEN
             safe = np.inf
-        wish_lane[s] = told_lane[s] if pass_id[s] < 0 else intended_lane(rows[s], told_lane[s], pass_id[s])
+        if pass_id[s] >= 0:
+            wish_lane[s] = intended_lane(rows[s], told_lane[s], pass_id[s])
+        else:
+            wish_lane[s] = told_lane[s] if told_lane[s] >= 0 else unasked_lane(lanes[s], target_lane[s], previous[s])
         left[s, 0], left[s, 1] = choice.hold_off(left[s, 0], left[s, 1], target_lane[s], previous[s])
         cap[s] = safe
         if obeyed:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from deploy.lab.episodes import FIRST_SEED, Logits, by_the_second, by_the_tick, load, record, task_of
+from deploy.lab.episodes import FIRST_SEED, Logits, by_the_tick, load, record, task_of
 from deploy.lab.training import BASELINE_SCENES, SCENES, mixed_scenes, scenes_of
 from fast_node.mask import VERSION as MASK_VERSION
 from fast_node.policies.load import load_policy
@@ -26,7 +26,7 @@ from fast_node.policies.mlp import BASELINES, PARTS, VARIANTS, masked, told
 from fast_node.training.rollout import Fleet
 from schemas.driving.features import LAYOUT_HASH
 from sim_node.engine.batched import Batched
-from sim_node.metrics import summarise
+from sim_node.results import summarise
 from sim_node.scenarios import SCENARIOS
 
 ALGORITHMS = ("ours", *BASELINES)
@@ -211,6 +211,6 @@ def measured(cell: Cell, logits: Logits) -> dict[str, Any]:
     fleet = Fleet(world, task_of(scenario), masked=cell.masked, obeyed=cell.obeyed)
     for i in range(n):
         load(fleet, scenario, i, FIRST_SEED + i, "hurry")
-    step = by_the_tick(fleet, logits) if cell.masked else by_the_second(fleet, logits)
+    step = by_the_tick(fleet, logits)
     summary = summarise(record(fleet, scenario, step))
     return {k: summary[k] for k in FIGURES}

@@ -30,8 +30,9 @@ from schemas.runtime.process import ConfigError
 from schemas.wire.messages import Directive, MetaAction
 from sim_node.config import SimConfig
 from sim_node.engine.batched import Batched
-from sim_node.metrics import Recorder, summarise
+from sim_node.metrics import Recorder
 from sim_node.node import SimNode
+from sim_node.results import summarise
 from sim_node.scenarios import SCENARIOS
 from sim_node.scenarios.scenario import streams
 from tests.scenes import car
@@ -127,7 +128,10 @@ def test_a_bare_baseline_decides_once_a_second_and_nothing_overrides_it() -> Non
 
     step = by_the_second(Fleet(world, task_of(SCENARIOS["highway"]), masked=False), left)
     for tick in range(31):
-        assert not step(tick).any()
+        settled = step(tick)
+        assert settled is not None
+        assert settled.decided.tolist() == [tick % 15 == 0] * 2
+        assert not (settled.by_mask | settled.by_wish).any()
     assert asked == [0, 15, 30]
 
 
@@ -162,8 +166,47 @@ def test_the_json_has_the_documented_rows_from_the_seed_it_was_asked_for() -> No
         "lane_compliance_feasible",
         "speed_compliance",
         "override_share",
+        "ride_score",
+        "ride_score_low",
+        "ride_score_high",
+        "lane_flips_per_min",
+        "changes_given_up_per_min",
+        "jerk_rms",
+        "accel_sign_changes_per_min",
+        "headway_under_1s_share",
+        "min_ttc_capped_share",
+        "never_complied_share",
+        "decisions",
+        "decisions_with_choice_share",
+        "decisions_closed_by_mask_share",
+        "decisions_closed_by_wish_share",
     }
+    assert {f"{name}_of" for name in printed["rows"][0] if name.endswith(("_share", "_per_min"))} <= set(
+        printed["rows"][0]
+    )
     assert printed["rows"][0]["first_seed"] == 7
+
+
+def test_a_road_may_be_denser_a_file_and_asked_for_something_later(tmp_path: Path) -> None:
+    (tmp_path / "short.toml").write_text('base = "highway"\nduration_s = 4.0\n', encoding="utf-8")
+    told = ["--scenario", str(tmp_path / "short.toml"), "--density", "2", "--directive-at", "3", "--mask-preset", "sim"]
+    out = CliRunner().invoke(app, ["evaluate", *told, "--episodes", "2", "--json"])
+    (row,) = json.loads(out.stdout)["rows"]
+    assert (row["scenario"], row["density"], row["directive_at_s"], row["mask_preset"]) == ("short", 2.0, 3.0, "sim")
+    assert row["avg_speed_asked_of"] == 2 * 15
+
+
+def test_without_words_the_ego_keeps_its_lane_and_the_speed_with_which_it_began() -> None:
+    scenario = replace(SCENARIOS["highway"], flows=(), duration_s=6.0)
+    silent, told = (drive("rule", scenario, [1000], directive_at_s=at)[0] for at in (6.0, 0.0))
+    assert (silent.asked_ticks, told.asked_ticks) == (0, 90)
+    assert silent.max_speed < 26.0 < told.max_speed
+    assert silent.lane_flips == 0
+
+
+def test_an_unknown_preset_is_refused_with_the_choice() -> None:
+    with pytest.raises(ValueError, match="sim"):
+        drive("ours", SCENARIOS["merge"], [1000], mask_preset="lunar")
 
 
 def test_a_repeated_wish_gives_every_agent_one_row_each_that_names_it() -> None:
