@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 
 from schemas.driving.intent import ANY_LANE, SPEED_TOLERANCE_MPS, Intent, intended_lane
 from schemas.driving.road import (
-    ID,
     LANE_LIMIT,
     LANE_WAY,
     NOBODY,
@@ -20,6 +19,7 @@ from schemas.driving.road import (
     gap_between,
     has_passed,
     home_lane,
+    is_car,
     lead_id,
     next_ahead,
 )
@@ -215,7 +215,7 @@ class Coordination:
     ) -> bool:
         settled = observation.previous_lane < 0
         if directive.manoeuvre == "overtake" and self._pass_id >= 0:
-            passed = all(has_passed(rows[0], row) for row in rows[1:] if int(row[ID]) == self._pass_id)
+            passed = all(has_passed(rows[0], row) for row in rows[1:] if is_car(row, self._pass_id))
             return passed and settled and observation.target_lane == home
         no_speed = directive.target_speed_mps is None and directive.manoeuvre != "stop"
         right_speed = no_speed or math.isclose(rows[0][VX], intent.speed_mps, abs_tol=SPEED_TOLERANCE_MPS)

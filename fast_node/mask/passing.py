@@ -33,7 +33,19 @@ from fast_node.mask.vocabulary import (
     close_again,
 )
 from schemas.driving.measures import CAR_LENGTH_M, rss_opposite_m, rss_same_direction_m
-from schemas.driving.road import BEHIND_M, LANE_LIMIT, LANE_WAY, LENGTH, VX, X, gap_between, next_ahead
+from schemas.driving.road import (
+    BEHIND_M,
+    DOUBT_VX,
+    DOUBT_X,
+    LANE_LIMIT,
+    LANE_WAY,
+    LENGTH,
+    VX,
+    X,
+    doubt,
+    gap_between,
+    next_ahead,
+)
 from schemas.wire.messages import POLICY_ACTIONS
 
 PASS_ACCEL = 0.7
@@ -70,30 +82,39 @@ def passing(s: Situation, home: int, away: int) -> tuple[int, int]:
     if lead < 0:
         return NOTHING_TO_PASS, -1
     while True:
-        lead_v = max(rows[lead][VX], 0.0)
+        lead_v = max(rows[lead][VX] + doubt(rows[lead], DOUBT_VX), 0.0)
         faster = min(max(PASS_FASTER_MPS, PASS_SPEED_SHARE * (lanes[home][LANE_LIMIT] - lead_v)), PASS_FASTER_MAX_MPS)
         after = next_ahead(rows, home, rows[lead][X])
         if after < 0:
             break
-        need = rss_same_direction_m(
-            lead_v + faster, max(rows[after][VX], 0.0), p.reaction_s, 1.0, p.ego_brake, p.lead_brake
-        )
+        slowest = max(rows[after][VX] - doubt(rows[after], DOUBT_VX), 0.0)
+        need = rss_same_direction_m(lead_v + faster, slowest, p.reaction_s, 1.0, p.ego_brake, p.lead_brake)
         if gap_between(rows[lead], rows[after]) >= length + BEHIND_M + need + 4.0:
             break
         lead = after
     if rows[lead][X] - x > s.sight - UNSEEN_M:  # what is ahead of it is not known
         return NO_RETURN, lead
-    to_gain = rows[lead][X] - x + 0.5 * (rows[lead][LENGTH] + length) + BEHIND_M
+    to_gain = rows[lead][X] - x + 0.5 * (rows[lead][LENGTH] + length) + BEHIND_M + doubt(rows[lead], DOUBT_X)
     time = pass_time_s(to_gain, v - lead_v, faster) + RETURN_S
     driven = to_gain + lead_v * time
     facing = s.near[3 * away + FACING]
     if facing >= 0:
-        gap, other = gap_between(ego, rows[facing]), -rows[facing][VX]
+        gap, other = nearest_facing(s, facing, away)
     else:
         gap, other = s.sight - SIGHT_MARGIN_M, lanes[away][LANE_LIMIT]
     if gap < driven + other * time + 5.0:
         return ONCOMING, facing
     return OPEN, -1
+
+
+def nearest_facing(s: Situation, facing: int, away: int) -> tuple[float, float]:
+    """Gap [m] and speed [m/s], at worst, of the oncoming car of row `facing` in lane `away`. Where its speed is in
+    doubt it is no more than the limit, which is what cars beyond sight are taken to drive."""
+    row = s.rows[facing]
+    speed, unsure = -row[VX], doubt(row, DOUBT_VX)
+    if unsure > 0.0:
+        speed = max(speed, min(speed + unsure, s.lanes[away][LANE_LIMIT]))
+    return gap_between(s.rows[0], row) - doubt(row, DOUBT_X), speed
 
 
 def start_pass(s: Situation, aim: int) -> tuple[int, int]:
@@ -102,8 +123,11 @@ def start_pass(s: Situation, aim: int) -> tuple[int, int]:
     if reason != OPEN:
         return reason, who
     ego, ahead = s.rows[0], s.near[3 * s.lane + AHEAD]
-    if ahead >= 0 and gap_between(ego, s.rows[ahead]) < 3.0 + 1.5 * max(0.0, ego[VX] - s.rows[ahead][VX]):
-        return LEAD, ahead
+    if ahead >= 0:
+        other = s.rows[ahead]
+        closing = max(0.0, ego[VX] - other[VX] + doubt(other, DOUBT_VX))
+        if gap_between(ego, other) - doubt(other, DOUBT_X) < 3.0 + 1.5 * closing:
+            return LEAD, ahead
     return OPEN, -1
 
 
@@ -118,14 +142,14 @@ def settle_pass(s: Situation, rule: Any, vehicle: Any) -> None:
         _finish_or_give_up(s, home, who, rule, vehicle)
     if facing < 0:
         return
-    gap = gap_between(ego, s.rows[facing])
+    gap, other = nearest_facing(s, facing, s.lane)
     if rule[RIGHT] == OPEN:
-        if gap < LEAVE_S * (ego[VX] - s.rows[facing][VX]) + 10.0 and state != OPEN:
+        if gap < LEAVE_S * (ego[VX] + other) + 10.0 and state != OPEN:
             for a in SPEEDS:
                 close_again(rule, vehicle, a, ONCOMING, facing)
     else:
         p = s.preset
-        need = rss_opposite_m(max(ego[VX], 0.0), -s.rows[facing][VX], p.reaction_s, 0.0, p.ego_brake, p.ego_brake + 1.0)
+        need = rss_opposite_m(max(ego[VX], 0.0), other, p.reaction_s, 0.0, p.ego_brake, p.ego_brake + 1.0)
         if gap < need + 3.0:
             for a in range(POLICY_ACTIONS):
                 close(rule, vehicle, a, ONCOMING, facing)
