@@ -17,6 +17,7 @@ from schemas.runtime.process import ConfigError
 from schemas.wire.messages import MetaAction
 from sim_node.engine.batched import Batched
 from sim_node.metrics import EpisodeResult
+from sim_node.observe import Senses
 from sim_node.scenarios import Scenario
 
 
@@ -85,10 +86,15 @@ def drive(
     checkpoint: Path | None = None,
     directive: Directive = "hurry",
     wish_mps: float | None = None,
+    noise_m: float = 0.0,
+    noise_mps: float = 0.0,
+    dropout: float = 0.0,
 ) -> list[EpisodeResult]:
     """One episode per seed, with that seed's traffic and a directive from the start (see `Directive`), and with
     another wished speed than that where one is given. `checkpoint` takes the place of the shipped policy of the agent
     that it was trained as; ours also brings the mask's preset, for whoever drives behind the mask.
+
+    noise_m, noise_mps, dropout: of what it perceives, see `sim_node.observe.perceived`.
 
     Raises `ConfigError` for an unusable policy or checkpoint and ValueError for an unknown agent.
     """
@@ -102,7 +108,9 @@ def drive(
     policy = load_policy("constant:cruise" if who.policy in ("idm", "brake") else str(replaced or who.policy))
     preset = load_policy(str(checkpoint)).mask_preset if own == "ours" else policy.mask_preset
     world = Batched(scenario, len(seeds), 0, ego="idm" if who.policy == "idm" else "executor")
-    fleet = Fleet(world, task_of(scenario, preset), masked=who.masked)
+    imperfect = (noise_m, noise_mps, dropout)
+    sense = Senses(seeds, *imperfect) if any(imperfect) else None
+    fleet = Fleet(world, task_of(scenario, preset), masked=who.masked, sense=sense)
     for i, seed in enumerate(seeds):
         load(fleet, scenario, i, seed, directive)
     if wish_mps is not None:
