@@ -90,11 +90,11 @@ def narrow(
     headway_s: float,
     cap_mps: float,
 ) -> None:
-    """Close in `rule` (6,), of what is safe, what the intent (lane, speed_mps, headway_s) rules out; something milder than braking
-    stays open.
+    """Close in `rule` (6,), of what is safe, what the intent (lane, speed_mps, headway_s) rules out; something milder
+    than braking stays open.
 
-    rows, near, lanes and the set-points: as `mask.close_actions` has them. left_lane: not entered again yet (see `hold_off`), or
-    -1; cap_mps: the speed that is admitted now.
+    rows, near, lanes and the set-points: as `mask.close_actions` has them. left_lane: not entered again yet (see
+    `hold_off`), or -1; cap_mps: the speed that is admitted now.
     """
     ours = lanes[target_lane][LANE_WAY] > 0
     if previous_lane >= 0:

@@ -13,6 +13,7 @@ from schemas.driving.actions import held
 from schemas.driving.features import Array, features
 from schemas.driving.intent import ANY_LANE, Intent
 from schemas.driving.road import LANE_END, LANE_WAY, LANE_Y, NOBODY, X, lane_table
+from schemas.driving.tracks import Tracks
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import POLICY_ACTIONS, Action, Closure, Directive, Event, MetaAction, Observation, Reason
 
@@ -26,6 +27,7 @@ class FastNode:
     def __init__(self, config: FastConfig, policy: Policy, preset: Preset = PRESETS["sim"]) -> None:
         """`preset`: of the mask; the one that the policy was trained behind."""
         self._config, self._policy, self._preset = config, policy, preset
+        self._tracks = Tracks()
         self._coordination = Coordination(config.default_headway_s)
         self._epoch = -1
         self._decided_tick, self._held, self._left = -(10**9), int(MetaAction.CRUISE), (NOBODY, 0)
@@ -53,9 +55,9 @@ class FastNode:
             ), []
 
     def _step(self, observation: Observation, directive: Directive | None, now_ns: int) -> tuple[Action, list[Event]]:
-        table = rows_of(observation).tolist()
         rule, vehicle = [0] * 6, [-1] * 6
         lanes = lane_table(observation.lanes)
+        table = self._tracks.follow(observation, rows_of(observation).tolist(), lanes)
         near = [0] * (3 * len(lanes))
         if observation.epoch != self._epoch:
             self._epoch = observation.epoch

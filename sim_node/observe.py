@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,11 @@ from highway_env.road.road import Road
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from schemas.driving.road import VX, VY, X, Y
+from schemas.driving.road import ID, NOBODY, VX, VY, X, Y
 from schemas.wire.messages import ROW_COLUMNS
 from sim_node.ego import EgoVehicle
 from sim_node.road import LaneMap
+from sim_node.scenarios.scenario import streams
 
 VEHICLES_MAX = 40
 """Besides the ego; keeps a message under 2 KB."""
@@ -49,3 +51,25 @@ def perceived(
     others[:, [VX, VY]] += rng.normal(0.0, noise_mps, (len(others), 2)).astype(np.float32)
     seen = rng.random(len(others)) >= dropout
     return np.concatenate([table[:1], others[seen]])
+
+
+class Senses:
+    """The same sensor in many scenes at once, each with its own errors: those of `perceived` for that seed."""
+
+    def __init__(self, seeds: Sequence[int], noise_m: float, noise_mps: float, dropout: float) -> None:
+        """seeds: of the scenes' episodes. Raises ValueError for a negative error, or a chance that is not in 0..1."""
+        if not (noise_m >= 0 and noise_mps >= 0 and 0 <= dropout < 1):
+            raise ValueError("noise_m and noise_mps must not be negative, and dropout must be within 0..1")
+        self._rngs = [streams(seed)[2] for seed in seeds]
+        self._imperfect = (noise_m, noise_mps, dropout)
+
+    def __call__(self, scene: int, table: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(V, 9) rows of a scene, ID negative where nobody is: the same rows as its ego perceives them."""
+        here = np.flatnonzero(table[:, ID] >= 0)
+        away = np.hypot(table[here, X] - table[0, X], table[here, Y] - table[0, Y])
+        nearest = here[np.lexsort((table[here, ID], away))]  # in the order of a message: each car has the error that
+        seen = perceived(table[nearest], self._rngs[scene], *self._imperfect)  # it has there
+        out = np.zeros_like(table)
+        out[:, ID] = NOBODY
+        out[: len(seen)] = seen
+        return out

@@ -15,6 +15,7 @@ from fast_node.training.rollout import Fleet
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import MetaAction
 from sim_node.engine.batched import Batched
+from sim_node.observe import Senses
 from sim_node.results import EpisodeResult
 from sim_node.scenarios import Scenario
 from sim_node.scenarios.scenario import streams
@@ -43,10 +44,7 @@ AGENTS: dict[str, Agent] = {
     "brake": Agent("stops at once", "brake"),
     "random": Agent("draws an action every second", "random:0"),
     "random-masked": Agent("the same, behind the mask", "random:0", masked=True),
-    **{
-        f"{name}-bare": Agent(f"{name.upper()} as published", f"{name}-bare")
-        for name in BASELINES
-    },
+    **{f"{name}-bare": Agent(f"{name.upper()} as published", f"{name}-bare") for name in BASELINES},
     **{
         f"{name}-masked": Agent(f"{name.upper()} with our directives, behind our mask", f"{name}-masked", masked=True)
         for name in BASELINES
@@ -85,11 +83,16 @@ def drive(
     wish_mps: float | None = None,
     directive_at_s: float = 0.0,
     mask_preset: str | None = None,
+    noise_m: float = 0.0,
+    noise_mps: float = 0.0,
+    dropout: float = 0.0,
 ) -> list[EpisodeResult]:
     """One episode per seed, with that seed's traffic and a directive (see `Directive`) from the start or from
     `directive_at_s` on, without words until then, and with another wished speed than the directive's where one is
     given. `checkpoint` takes the place of the shipped policy of the agent that it was trained as; ours also brings the
     mask's preset, for whoever drives behind the mask, unless another is given.
+
+    noise_m, noise_mps, dropout: of what it perceives, see `sim_node.observe.perceived`.
 
     Raises `ConfigError` for an unusable policy or checkpoint and ValueError for an unknown agent or preset.
     """
@@ -105,7 +108,9 @@ def drive(
     policy = load_policy("constant:cruise" if who.policy in ("idm", "brake") else str(replaced or who.policy))
     preset = mask_preset or (load_policy(str(checkpoint)) if own == "ours" else policy).mask_preset
     world = Batched(scenario, len(seeds), 0, ego="idm" if who.policy == "idm" else "executor")
-    fleet = Fleet(world, task_of(scenario, preset), masked=who.masked)
+    imperfect = (noise_m, noise_mps, dropout)
+    sense = Senses(seeds, *imperfect) if any(imperfect) else None
+    fleet = Fleet(world, task_of(scenario, preset), masked=who.masked, sense=sense)
     for i, seed in enumerate(seeds):
         world.load(i, scenario.spawn(streams(seed)[0]))
     words = Words(fleet, scenario, seeds, directive, directive_at_s, wish_mps)

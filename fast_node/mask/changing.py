@@ -29,7 +29,7 @@ from fast_node.mask.vocabulary import (
     close,
 )
 from schemas.driving.measures import rss_same_direction_m
-from schemas.driving.road import LANE, LANE_WAY, VX, gap_between
+from schemas.driving.road import DOUBT_VX, DOUBT_X, LANE, LANE_WAY, VX, doubt, gap_between
 
 
 def change_lanes(s: Situation, rule: Any, vehicle: Any) -> None:
@@ -54,13 +54,13 @@ def settle_change(s: Situation, rule: Any, vehicle: Any) -> None:
     if s.previous < 0 or behind < 0 or s.lanes[s.lane][LANE_WAY] < 0:
         return
     p, ego, other = s.preset, s.rows[0], s.rows[behind]
-    gap = gap_between(other, ego)
+    gap, fastest = gap_between(other, ego) - doubt(other, DOUBT_X), other[VX] + doubt(other, DOUBT_VX)
     if rule[back_action(s)] == OPEN:
-        need = 1.0 + rss_same_direction_m(other[VX], ego[VX], p.reaction_s, 0.0, p.follower_brake, p.shown_brake)
+        need = 1.0 + rss_same_direction_m(fastest, ego[VX], p.reaction_s, 0.0, p.follower_brake, p.shown_brake)
         if int(ego[LANE]) == s.previous and gap < need:
             for a in SPEEDS:
                 close(rule, vehicle, a, GIVE_UP_CHANGE, behind)
-    elif ego[VX] < other[VX] and gap < follower_gap(other[VX], ego[VX], True, p):
+    elif ego[VX] < fastest and gap < follower_gap(fastest, ego[VX], True, p):
         if rule[SPEED_UP] == OPEN and s.target_speed < CREEP_MPS:
             close(rule, vehicle, CRUISE, REAR_GAP, behind)
         if rule[CRUISE] == OPEN or rule[SPEED_UP] == OPEN:

@@ -2,8 +2,8 @@
 behind can stop, or need hardly brake, for the ego.
 
 RSS Definition 1 to both. Assumed: a follower reacts `follower_reaction_s` after the ego comes in, later for one at
-walking pace, then brakes with `follower_brake`, and takes the ego to brake with `shown_brake` at most (an emergency brake
-exceeds that). Where the change can wait, it is spared more than `courtesy_brake` as an IDM driver (MOBIL's b_safe).
+walking pace, then brakes with `follower_brake`, and takes the ego to brake with `shown_brake` at most (an emergency
+brake exceeds that). Where the change can wait, it is spared more than `courtesy_brake` as an IDM driver (MOBIL's b_safe).
 """
 
 from __future__ import annotations
@@ -23,7 +23,20 @@ from fast_node.mask.vocabulary import (
     Situation,
 )
 from schemas.driving.measures import gap_m, rss_same_direction_m
-from schemas.driving.road import LANE, LANE_END, LANE_OPENS, LANE_RAMP, LANE_START, LANE_WAY, LENGTH, VX, X
+from schemas.driving.road import (
+    DOUBT_VX,
+    DOUBT_X,
+    LANE,
+    LANE_END,
+    LANE_OPENS,
+    LANE_RAMP,
+    LANE_START,
+    LANE_WAY,
+    LENGTH,
+    VX,
+    X,
+    doubt,
+)
 
 FOLLOWER_BLIND_S = 1.0
 CREEP_MPS = 5.0
@@ -80,12 +93,17 @@ def entry(s: Situation, aim: int) -> tuple[int, int]:
             return NO_LANE, -1
     ahead, behind, facing = s.near[3 * aim + AHEAD], s.near[3 * aim + BEHIND], s.near[3 * aim + FACING]
     if ahead >= 0:
-        need = rss_same_direction_m(v, max(s.rows[ahead][VX], 0.0), p.reaction_s, 1.0, p.ego_brake, p.lead_brake)
-        if gap_m(x, s.rows[ahead][X], ego[LENGTH], s.rows[ahead][LENGTH]) < need + 1.5:
+        other = s.rows[ahead]
+        slowest = max(other[VX] - doubt(other, DOUBT_VX), 0.0)
+        need = rss_same_direction_m(v, slowest, p.reaction_s, 1.0, p.ego_brake, p.lead_brake)
+        if gap_m(x, other[X], ego[LENGTH], other[LENGTH]) - doubt(other, DOUBT_X) < need + 1.5:
             return FRONT_GAP, ahead
     if behind >= 0:
-        need = follower_gap(s.rows[behind][VX], v, must_leave(s, aim), p)
-        if gap_m(s.rows[behind][X], x, s.rows[behind][LENGTH], ego[LENGTH]) < need:
+        other = s.rows[behind]
+        need = follower_gap(other[VX], v, must_leave(s, aim), p)  # courtesy by the best guess, safety by the worst
+        fastest = other[VX] + doubt(other, DOUBT_VX)
+        need = max(need, follower_gap(fastest, v, True, p) + doubt(other, DOUBT_X))
+        if gap_m(other[X], x, other[LENGTH], ego[LENGTH]) < need:
             return REAR_GAP, behind
     if facing >= 0:  # a car passing head-on in our own lane
         return ONCOMING, facing

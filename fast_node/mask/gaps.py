@@ -26,7 +26,24 @@ from fast_node.mask.vocabulary import (
     close_again,
 )
 from schemas.driving.measures import INF, SPEED_STEP_MPS, gap_m, rss_lateral_m, rss_same_direction_m
-from schemas.driving.road import AGAINST_MPS, ID, LANE, LANE_END, LANE_Y, LENGTH, VX, VY, WIDTH, X, Y
+from schemas.driving.road import (
+    AGAINST_MPS,
+    DOUBT_VX,
+    DOUBT_VY,
+    DOUBT_X,
+    DOUBT_Y,
+    ID,
+    LANE,
+    LANE_END,
+    LANE_Y,
+    LENGTH,
+    VX,
+    VY,
+    WIDTH,
+    X,
+    Y,
+    doubt,
+)
 from schemas.wire.messages import POLICY_ACTIONS
 
 FOLLOW_GAIN = 0.5
@@ -40,12 +57,16 @@ def allowed_speed(gap: float, lead_mps: float, p: Preset) -> float:
     """Highest speed set-point that a gap admits: rising from the lead's at the following distance with spare room,
     and never more than what RSS lets the ego brake from."""
     follow = lead_mps + FOLLOW_GAIN * (gap - p.standstill_m - p.follow_s * lead_mps)
+    return max(0.0, min(follow, stopping_speed(gap, lead_mps, p)))
+
+
+def stopping_speed(gap: float, lead_mps: float, p: Preset) -> float:
+    """The set-point from which RSS lets the ego brake, after the executor's lag, behind a lead `gap` [m] ahead."""
     lag = p.ceiling_reaction_s * p.ceiling_brake
     room = max(gap - 2.0, 0.0)
-    stop = (
+    return (
         math.sqrt(lag * lag + 2.0 * p.ceiling_brake * room + p.ceiling_brake / p.lead_brake * lead_mps * lead_mps) - lag
     )
-    return max(0.0, min(follow, stop))
 
 
 def aside_m(ego: Any, row: Any, lanes: Any) -> float:
@@ -59,7 +80,9 @@ def side_gap(ego: Any, row: Any, p: Preset) -> float:
     """Distance [m], side to side, from which the ego and another car can both stay apart (RSS Definition 6). Where the
     other's own motion ends `aside_m` knows."""
     towards = 1.0 if row[Y] > ego[Y] else -1.0
-    return rss_lateral_m(towards * ego[VY], 0.0, p.reaction_s, p.side_accel, p.side_brake, p.sway_m)
+    return doubt(row, DOUBT_Y) + rss_lateral_m(
+        towards * ego[VY], doubt(row, DOUBT_VY), p.reaction_s, p.side_accel, p.side_brake, p.sway_m
+    )
 
 
 def keep_gaps(s: Situation, rule: Any, vehicle: Any) -> tuple[float, int]:
@@ -77,10 +100,13 @@ def keep_gaps(s: Situation, rule: Any, vehicle: Any) -> tuple[float, int]:
         if abs(int(row[LANE]) - s.lane) == 1 and row[VY] * (lane_y - row[Y]) > 0.0 and drifts(row, s.lanes):
             leaving = abs(lane_y - row[Y]) - CUT_IN_S * abs(row[VY]) >= 0.5 * (row[WIDTH] + ego[WIDTH])
         gap, lead_v = gap_m(x, row[X], ego[LENGTH], row[LENGTH]), max(row[VX], 0.0)
-        need = rss_same_direction_m(v, lead_v, p.reaction_s, 0.0, p.ego_brake + 1.0, p.lead_brake)
-        too_near = gap < (0.5 if leaving else 1.0) + need
+        unsure, slowest = doubt(row, DOUBT_X), max(row[VX] - doubt(row, DOUBT_VX), 0.0)
+        need = rss_same_direction_m(v, slowest, p.reaction_s, 0.0, p.ego_brake + 1.0, p.lead_brake)
+        too_near = gap - unsure < (0.5 if leaving else 1.0) + need
         spare = gap - LEAVE_M if gap > LEAVE_M and lane_ends else gap
         limit = lead_v + (gap - 1.0) / 1.5 if leaving else allowed_speed(spare, lead_v, p)
+        if not leaving:  # what is comfortable follows the best guess; what is safe, the worst
+            limit = min(limit, max(stopping_speed(spare - unsure, slowest, p), 0.0))
         if (not too_near and limit >= ceiling) or (leaving and aside_m(ego, row, s.lanes) >= side_gap(ego, row, p)):
             continue
         if too_near:
@@ -110,13 +136,13 @@ def keep_clear(s: Situation, i: int, leaving: bool, rule: Any, vehicle: Any) -> 
 
 
 def keep_below(s: Situation, cap: float, reason: int, who: int, rule: Any, vehicle: Any) -> None:
-    """Close raising a set-point that is at the speed `cap` [m/s] already, for `reason` and row `who`. The cap itself holds
-    whatever the set-point is."""
+    """Close raising a set-point that is at the speed `cap` [m/s] already, for `reason` and row `who`. The cap itself
+    holds whatever the set-point is."""
     if rule[SPEED_UP] == OPEN and s.target_speed + SPEED_STEP_MPS > cap:
         rule[SPEED_UP], vehicle[SPEED_UP] = reason, who
 
 
 def slow_firmly(s: Situation, cap: float, rule: Any) -> float:
-    """The speed cap [m/s], lower where nothing but slowing down is left: a step of the set-point would be too little."""
+    """The speed cap [m/s], lower where nothing but slowing down is left: a step of the set-point is too little."""
     only_slower = rule[SLOW_DOWN] == OPEN and rule[CRUISE] != OPEN and rule[SPEED_UP] != OPEN
     return min(cap, max(s.rows[0][VX] - FIRM_MPS, 0.0)) if only_slower else cap

@@ -1,7 +1,8 @@
 """Who is ahead, behind and facing the ego in every lane, now and where they are heading.
 
-Assumed beyond RSS: a car that moves sideways out of its lane is in the lane that it comes to as well, one that stands askew in the lane
-that it reaches into, and one near the end of a lane that ends in the lane to its left.
+Assumed beyond RSS: a car that moves sideways out of its lane is in the lane that it comes to as well, and settles there;
+one that stands askew is in the lane that it reaches into, and one near the end of a lane that ends in the lane to its
+left.
 """
 
 from __future__ import annotations
@@ -54,18 +55,14 @@ def drifts(row: Any, lanes: Any) -> bool:
 
 
 def settles_at(row: Any, lanes: Any) -> float:
-    """Where a car's motion sideways is taken to end [m]: on the centre line that it comes to next. Without such a motion,
-    where it is."""
-    lane = int(row[LANE])
-    if abs(row[VY]) <= CUT_IN_MPS:
-        y: float = row[Y]
-        return y
-    if drifts(row, lanes):
-        lane = lane + 1 if row[VY] > 0.0 else lane - 1
-    if lane < 0 or lane >= len(lanes):
-        return row[Y] + CUT_IN_S * row[VY]
-    y = lanes[lane][LANE_Y]
-    return y
+    """Where a car's motion sideways is taken to end [m]: on the centre line that it comes to next. Without such a
+    motion, where it is."""
+    lane, y = int(row[LANE]), row[Y]
+    if abs(row[VY]) > CUT_IN_MPS:
+        if drifts(row, lanes):
+            lane = lane + 1 if row[VY] > 0.0 else lane - 1
+        y = lanes[lane][LANE_Y] if 0 <= lane < len(lanes) else y + CUT_IN_S * row[VY]
+    return float(y)
 
 
 def half_width(row: Any) -> float:

@@ -33,7 +33,19 @@ from fast_node.mask.vocabulary import (
     close_again,
 )
 from schemas.driving.measures import CAR_LENGTH_M, rss_opposite_m, rss_same_direction_m
-from schemas.driving.road import BEHIND_M, LANE_LIMIT, LANE_WAY, LENGTH, VX, X, gap_between, next_ahead
+from schemas.driving.road import (
+    BEHIND_M,
+    DOUBT_VX,
+    DOUBT_X,
+    LANE_LIMIT,
+    LANE_WAY,
+    LENGTH,
+    VX,
+    X,
+    doubt,
+    gap_between,
+    next_ahead,
+)
 from schemas.wire.messages import POLICY_ACTIONS
 
 PASS_ACCEL = 0.7
@@ -62,38 +74,51 @@ def pass_time_s(distance: float, faster_mps: float, top_mps: float) -> float:
     return (math.sqrt(faster_mps * faster_mps + 2.0 * PASS_ACCEL * distance) - faster_mps) / PASS_ACCEL
 
 
-def passing(s: Situation, home: int, away: int) -> tuple[int, int]:
-    """Whether the ego can still pass what is ahead in lane `home` through the oncoming lane `away`: (reason, row)."""
+def passing(s: Situation, home: int, away: int, share: float = 1.0) -> tuple[int, int]:
+    """Whether the ego can still pass what is ahead in lane `home` through the oncoming lane `away`: (reason, row).
+
+    share: of the doubt about others that counts. All of it where a pass begins; none where it goes on, or what is
+    learnt about a car on the way would end a pass that was begun with room to spare.
+    """
     rows, lanes, p, ego = s.rows, s.lanes, s.preset, s.rows[0]
     x, v, length = ego[X], ego[VX], ego[LENGTH]
     lead = next_ahead(rows, home, x - 0.5 * (CAR_LENGTH_M + length) - BEHIND_M)  # passed once there is room to return
     if lead < 0:
         return NOTHING_TO_PASS, -1
     while True:
-        lead_v = max(rows[lead][VX], 0.0)
+        lead_v = max(rows[lead][VX] + share * doubt(rows[lead], DOUBT_VX), 0.0)
         faster = min(max(PASS_FASTER_MPS, PASS_SPEED_SHARE * (lanes[home][LANE_LIMIT] - lead_v)), PASS_FASTER_MAX_MPS)
         after = next_ahead(rows, home, rows[lead][X])
         if after < 0:
             break
-        need = rss_same_direction_m(
-            lead_v + faster, max(rows[after][VX], 0.0), p.reaction_s, 1.0, p.ego_brake, p.lead_brake
-        )
+        slowest = max(rows[after][VX] - share * doubt(rows[after], DOUBT_VX), 0.0)
+        need = rss_same_direction_m(lead_v + faster, slowest, p.reaction_s, 1.0, p.ego_brake, p.lead_brake)
         if gap_between(rows[lead], rows[after]) >= length + BEHIND_M + need + 4.0:
             break
         lead = after
     if rows[lead][X] - x > s.sight - UNSEEN_M:  # what is ahead of it is not known
         return NO_RETURN, lead
-    to_gain = rows[lead][X] - x + 0.5 * (rows[lead][LENGTH] + length) + BEHIND_M
+    to_gain = rows[lead][X] - x + 0.5 * (rows[lead][LENGTH] + length) + BEHIND_M + share * doubt(rows[lead], DOUBT_X)
     time = pass_time_s(to_gain, v - lead_v, faster) + RETURN_S
     driven = to_gain + lead_v * time
     facing = s.near[3 * away + FACING]
     if facing >= 0:
-        gap, other = gap_between(ego, rows[facing]), -rows[facing][VX]
+        gap, other = nearest_facing(s, facing, away, share)
     else:
         gap, other = s.sight - SIGHT_MARGIN_M, lanes[away][LANE_LIMIT]
     if gap < driven + other * time + 5.0:
         return ONCOMING, facing
     return OPEN, -1
+
+
+def nearest_facing(s: Situation, facing: int, away: int, share: float) -> tuple[float, float]:
+    """Gap [m] and speed [m/s] of the oncoming car of row `facing` in lane `away`, at worst by a `share` of the doubt.
+    Where its speed is in doubt it is no more than the limit, which is what cars beyond sight are taken to drive."""
+    row = s.rows[facing]
+    speed, unsure = -row[VX], share * doubt(row, DOUBT_VX)
+    if unsure > 0.0:
+        speed = max(speed, min(speed + unsure, s.lanes[away][LANE_LIMIT]))
+    return gap_between(s.rows[0], row) - share * doubt(row, DOUBT_X), speed
 
 
 def start_pass(s: Situation, aim: int) -> tuple[int, int]:
@@ -102,8 +127,11 @@ def start_pass(s: Situation, aim: int) -> tuple[int, int]:
     if reason != OPEN:
         return reason, who
     ego, ahead = s.rows[0], s.near[3 * s.lane + AHEAD]
-    if ahead >= 0 and gap_between(ego, s.rows[ahead]) < 3.0 + 1.5 * max(0.0, ego[VX] - s.rows[ahead][VX]):
-        return LEAD, ahead
+    if ahead >= 0:
+        other = s.rows[ahead]
+        closing = max(0.0, ego[VX] - other[VX] + doubt(other, DOUBT_VX))
+        if gap_between(ego, other) - doubt(other, DOUBT_X) < 3.0 + 1.5 * closing:
+            return LEAD, ahead
     return OPEN, -1
 
 
@@ -113,19 +141,19 @@ def settle_pass(s: Situation, rule: Any, vehicle: Any) -> None:
     if s.lanes[s.lane][LANE_WAY] > 0:
         return
     ego, home, facing = s.rows[0], s.lane + 1, s.near[3 * s.lane + FACING]
-    state, who = passing(s, home, s.lane)
+    state, who = passing(s, home, s.lane, 0.0)
     if state in (ONCOMING, NO_RETURN):
         _finish_or_give_up(s, home, who, rule, vehicle)
     if facing < 0:
         return
-    gap = gap_between(ego, s.rows[facing])
+    gap, other = nearest_facing(s, facing, s.lane, 1.0)
     if rule[RIGHT] == OPEN:
-        if gap < LEAVE_S * (ego[VX] - s.rows[facing][VX]) + 10.0 and state != OPEN:
+        if gap < LEAVE_S * (ego[VX] + other) + 10.0 and state != OPEN:
             for a in SPEEDS:
                 close_again(rule, vehicle, a, ONCOMING, facing)
     else:
         p = s.preset
-        need = rss_opposite_m(max(ego[VX], 0.0), -s.rows[facing][VX], p.reaction_s, 0.0, p.follower_brake, p.ego_brake)
+        need = rss_opposite_m(max(ego[VX], 0.0), other, p.reaction_s, 0.0, p.follower_brake, p.ego_brake)
         if gap < need + 3.0:
             for a in range(POLICY_ACTIONS):
                 close(rule, vehicle, a, ONCOMING, facing)

@@ -21,7 +21,8 @@ from schemas.driving.features import FEATURES, N_ROWS, Array, policy_input
 from schemas.driving.intent import ANY_LANE, intended_lane, unasked_lane
 from schemas.driving.measures import TTC_CAP_S, ttc_s
 from schemas.driving.reward import reward, shortfall
-from schemas.driving.road import DECISION_TICKS, HZ, LANE, LANE_END, LANE_Y, VX, X, gap_between
+from schemas.driving.road import DECISION_TICKS, DT_S, HZ, ID, LANE, LANE_END, LANE_Y, NOBODY, VX, X, gap_between
+from schemas.driving.tracks import COLUMNS, N_NOISE, follow
 from schemas.runtime.compiled import compiled
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 
@@ -54,10 +55,10 @@ def _look_all(
     ttc: Any,
     short: Any,
 ) -> None:
-    """Of every scene: what the mask and the intent close, the speed cap, the lane wished now, the time to collision, the
-    shortfall of the gap.
+    """Of every scene: what the mask and the intent close, the speed cap, the lane wished now, the time to collision, and
+    the shortfall of the gap.
 
-    near, rule, vehicle, wish_lane, left, cap, ttc, short: outputs; the rest as `Fleet` has it.
+    near, rule, vehicle, wish_lane, cap, ttc, short: outputs; the rest as `Fleet` has it.
     """
     for s in range(rows.shape[0]):
         safe = mask.close_actions(
@@ -70,7 +71,6 @@ def _look_all(
             wish_lane[s] = intended_lane(rows[s], told_lane[s], pass_id[s])
         else:
             wish_lane[s] = told_lane[s] if told_lane[s] >= 0 else unasked_lane(lanes[s], target_lane[s], previous[s])
-        left[s, 0], left[s, 1] = choice.hold_off(left[s, 0], left[s, 1], target_lane[s], previous[s])
         cap[s] = safe
         if obeyed:
             wished = choice.comfortable_mps(rows[s], near[s], lanes[s], target_lane[s], accel[s], v_des[s], headway[s])
@@ -149,6 +149,35 @@ def _choose_all(logits: Any, rule: Any, age: Any, holding: Any, meta: Any, by: A
         age[s] += 1
 
 
+def _follow_all(
+    tracks: Any,
+    noise: Any,
+    seen: Any,
+    lanes: Any,
+    target_lane: Any,
+    previous: Any,
+    left: Any,
+    sight: float,
+    age: Any,
+    ticks: Any,
+) -> None:
+    """Take what every ego sees into its tracks: tracks (S, T, C), noise (S, N), seen (S, V, 9); and what lane it is not
+    to enter again into `left` (S, 2). age (S,): the ticks of the scenes so far, ticks (S,): at their last look, when
+    nothing is to be done if they are equal."""
+    for s in range(len(tracks)):
+        if age[s] == ticks[s]:
+            continue
+        if age[s] == 0 or ticks[s] < 0:
+            tracks[s] = 0.0
+            tracks[s, :, ID] = NOBODY
+            noise[s] = 0.0
+            left[s] = 0
+        follow(tracks[s], noise[s], seen[s], lanes[s], sight, (age[s] - ticks[s]) * DT_S)
+        left[s, 0], left[s, 1] = choice.hold_off(left[s, 0], left[s, 1], target_lane[s], previous[s])
+        ticks[s] = age[s]
+
+
+_follow = compiled(_follow_all)
 _look = compiled(_look_all)
 _observe = compiled(_observe_all)
 _choose = compiled(_choose_all)
@@ -164,6 +193,8 @@ class World(Protocol):
     previous_lane: Ints
     accel: Floats
     crashed: Bools
+    ticks: Ints
+    """(S,) of the episode so far."""
 
     def tick(self, meta: Ints, speed_goal: Floats, speed_cap: Floats, /) -> None: ...
 
@@ -192,16 +223,27 @@ class Fleet:
     """S scenes of one task: what each ego sees, is asked for and may do now.
 
     Not `masked`: anything, always. Not `obeyed`: a wish closes nothing; behind the mask it does, unless told otherwise.
+    `sense` makes of a scene's index and rows (V, 9) what its ego's sensors report, absent rows included; None: all.
     """
 
-    def __init__(self, world: World, task: Task, *, masked: bool = True, obeyed: bool | None = None) -> None:
-        self.world, self.task, self.masked = world, task, masked
+    def __init__(
+        self,
+        world: World,
+        task: Task,
+        *,
+        masked: bool = True,
+        obeyed: bool | None = None,
+        sense: Callable[[int, Array], Array] | None = None,
+    ) -> None:
+        self.world, self.task, self.masked, self._sense = world, task, masked, sense
         self._obeyed = masked if obeyed is None else obeyed
         self._preset = mask.PRESETS[task.preset]
         s, n = len(world.rows), len(task.lanes)
         self.lanes = np.repeat(task.lanes[None], s, axis=0)
         self.rule, self.vehicle = np.zeros((s, len(MetaAction)), np.int64), np.zeros((s, len(MetaAction)), np.int64)
-        self._rows = world.rows.astype(np.float64)  # the node computes with Python's floats: here the same numbers
+        self._seen = world.rows.astype(np.float64)  # the node computes with Python's floats: here the same numbers
+        self._rows, self._noise = np.zeros((s, world.rows.shape[1], COLUMNS)), np.zeros((s, N_NOISE))
+        self._ticks = np.full(s, -1)
         self._near = np.zeros((s, 3 * n), np.int64)
         self._order = np.zeros(world.rows.shape[1], np.int64)
         self.told_lane, self.pass_id = np.full(s, ANY_LANE), np.full(s, -1)
@@ -215,7 +257,22 @@ class Fleet:
         """Mask, wishes and time to collision of the present state."""
         w = self.world
         self.lanes[:, :, LANE_Y] = w.lane_y
-        self._rows[:] = w.rows
+        self._seen[:] = w.rows
+        if self._sense is not None:
+            for scene in np.flatnonzero(w.ticks != self._ticks):
+                self._seen[scene] = self._sense(int(scene), w.rows[scene])
+        _follow(
+            self._rows,
+            self._noise,
+            self._seen,
+            self.lanes,
+            w.target_lane,
+            w.previous_lane,
+            self.left,
+            self.task.sight_m,
+            w.ticks,
+            self._ticks,
+        )
         _look(
             self._rows,
             self.lanes,
@@ -284,7 +341,7 @@ class Scenes(Fleet):
     ) -> None:
         super().__init__(world, task, masked=masked, obeyed=obeyed)
         self._rng = np.random.default_rng(seed)
-        self._ticks = decision_ticks
+        self._decision_ticks = decision_ticks
         s = len(world.rows)
         self.age = np.zeros(s, np.int64)
         self.returns = np.zeros(s)
@@ -295,7 +352,7 @@ class Scenes(Fleet):
     def reset(self, which: Bools) -> None:
         """New scenes where told; a directive is drawn for each, and again now and then during the episode."""
         self.world.reset(which)
-        self.left[which] = 0
+        self._ticks[which] = -1
         self.age[which], self.returns[which] = 0, 0.0
         self._direct(which)
         self.look()
@@ -319,7 +376,7 @@ class Scenes(Fleet):
         start_x = w.rows[:, 0, X].copy()
         logits = np.eye(POLICY_ACTIONS, dtype=np.float32)[action]
         since = np.full(s, DECISION_TICKS)
-        for k in range(self._ticks):
+        for k in range(self._decision_ticks):
             if k:
                 since[:] = 0
             _choose(logits, self.rule, since, self._holding, self._meta, self._by)
@@ -330,16 +387,16 @@ class Scenes(Fleet):
             jolt += ((w.accel - before) * HZ) ** 2
             self.look()
             ttc = np.minimum(ttc, self.ttc_s)
-            short += self.short / self._ticks
+            short += self.short / self._decision_ticks
         self.age += 1
-        seconds = self._ticks / HZ
+        seconds = self._decision_ticks / HZ
         speed = (w.rows[:, 0, X] - start_x).astype(np.float64) / seconds
         earned = reward(
             speed,
             self.v_des,
             self.task.speed_range,
-            effort / self._ticks,
-            jolt / self._ticks,
+            effort / self._decision_ticks,
+            jolt / self._decision_ticks,
             action >= MetaAction.LEFT,
             (self.wish == ANY_LANE) | (w.target_lane == self.wish),
             ttc,
@@ -351,7 +408,7 @@ class Scenes(Fleet):
         over = self.over()
         terminated = w.crashed.copy()
         # The goal and the road's end cut an episode off: what would come after is worth what the value says.
-        truncated = ((self.age * self._ticks >= self.task.duration_ticks) | over) & ~terminated
+        truncated = ((self.age * self._decision_ticks >= self.task.duration_ticks) | over) & ~terminated
         again = (self._rng.random(s) < 0.03 * seconds) & ~terminated & ~truncated
         if again.any():
             self._direct(again)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from schemas.driving.road import BEHIND_M as BEHIND_M
-from schemas.driving.road import ID, LANE_WAY, LENGTH, NOBODY, VX, X, home_lane, lane_ends
+from schemas.driving.road import LANE_WAY, LENGTH, NOBODY, VX, X, home_lane, is_car, lane_ends
 
 ANY_LANE = -1
 CALM, NORMAL, ASSERTIVE = range(3)
@@ -55,14 +55,15 @@ def unasked_lane(lanes: Any, target_lane: int, previous_lane: int) -> int:
 def intended_lane(rows: Any, home: int, pass_id: int) -> int:
     """The lane to be in while overtaking the car `pass_id` from lane `home`: beside it until it is passed, then home.
 
-    rows: (V, 9) sequence as `ROW_COLUMNS`. Compiles with numba unchanged.
+    rows: (V, 9) sequence as `ROW_COLUMNS`, or tracks: of a car that is missed for long its motion is remembered, and
+    it is not passed before that says so. Compiles with numba unchanged.
     """
     if pass_id < 0:
         return home
     ego = rows[0]
     for i in range(1, len(rows)):
         row = rows[i]
-        if int(row[ID]) == pass_id:
+        if is_car(row, pass_id):
             ahead = row[X] + 0.5 * (row[LENGTH] + ego[LENGTH]) + BEHIND_M - ego[X]
             if 0.0 < ahead < max(PASS_SIGHT_M, PASS_SIGHT_S * ego[VX]):
                 return home - 1

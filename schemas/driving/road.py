@@ -22,6 +22,8 @@ DECISION_TICKS = 5
 
 ID, X, Y, VX, VY, HEADING, LENGTH, WIDTH, LANE = range(len(ROW_COLUMNS))
 """Columns of a vehicle's row: `messages.ROW_COLUMNS`. ID is negative where there is no vehicle."""
+DOUBT_X, DOUBT_Y, DOUBT_VX, DOUBT_VY = range(LANE + 1, LANE + 5)
+"""Columns that a track adds (`tracks`): how far off the truth may be. A bare row has none, and none in doubt."""
 
 LANE_Y, LANE_START, LANE_END, LANE_WAY, LANE_WIDTH, LANE_LIMIT, LANE_OPENS, LANE_RAMP = range(8)
 """Columns of `lane_table`. WAY: +1 with the ego, -1 oncoming; OPENS: where changes out of it begin; RAMP: 1 on one."""
@@ -49,6 +51,16 @@ def lane_table(lanes: tuple[Lane, ...]) -> list[tuple[float, ...]]:
         )
         for lane in lanes
     ]
+
+
+def doubt(row: Any, column: int) -> float:
+    """How far off the truth a track's `column` (`DOUBT_X`, ...) may be; 0 for a bare row."""
+    return float(row[column]) if len(row) > column else 0.0
+
+
+def is_car(row: Any, number: int) -> bool:
+    """Whether a row is the car `number`'s, be it seen or only remembered (its ID is then -2 - number)."""
+    return bool(row[ID] == number or row[ID] == -2 - number)
 
 
 def is_oncoming(row: Any) -> bool:
