@@ -10,6 +10,7 @@ from typing import Any
 
 from fast_node.mask.lane_end import speed_before
 from fast_node.mask.vocabulary import AHEAD, BRAKE, CRUISE, LEFT, NOT_WISHED, OPEN, RIGHT, SLOW_DOWN, SPEED_UP
+from schemas.driving.intent import ends_soon
 from schemas.driving.measures import SPEED_STEP_MPS
 from schemas.driving.road import LANE, LANE_END, LANE_OPENS, LANE_WAY, VX, X, gap_between, lane_ends
 from schemas.wire.messages import POLICY_ACTIONS
@@ -21,8 +22,6 @@ HELD, DECIDED, MASKED, WISHED = range(4)
 HOLD_OFF_TICKS = 45
 """A lane that was left, or a change that was given up, is not taken up again for these 3 s."""
 
-ENDS_S, ENDS_M = 15.0, 100.0
-"""A lane that ends sooner than this is not entered by choice."""
 ENTER_S, SOON_S = 1.0, 1.0
 """A lane is entered by choice with at least this headway, the wished one if that is less, this long after now."""
 MUST_S = 5.0
@@ -128,7 +127,7 @@ def worth_entering(rows: Any, near: Any, lanes: Any, lane: int, aim: int, headwa
     lane ends soon."""
     ego, lead = rows[0], int(near[3 * aim + AHEAD])
     x, v = ego[X], ego[VX]
-    if lane_ends(lanes, aim) and lanes[aim][LANE_END] - x < ENDS_S * v + ENDS_M:
+    if ends_soon(lanes, aim, x, v):
         return False
     if lead < 0 or (lane_ends(lanes, lane) and lanes[lane][LANE_END] - x < MUST_S * v):
         return True

@@ -264,7 +264,7 @@ class Coordination:
             return lane
         if gap is not None and pending is not None and pending.target_speed_mps is None:
             return home
-        return unasked_lane(lanes, observation.target_lane, observation.previous_lane)
+        return unasked_lane(lanes, observation.target_lane, observation.previous_lane, rows[0][X], rows[0][VX])
 
     def _gap(
         self, pending: Directive | None, observation: Observation, rows: Rows, lanes: Lanes, home: int

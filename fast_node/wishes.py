@@ -5,20 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from schemas.driving.intent import LANE_ENDS_S, NORMAL, PASS_SIGHT_M, PASS_SIGHT_S, STYLES
-from schemas.driving.road import (
-    ID,
-    LANE_END,
-    LANE_RAMP,
-    LANE_WAY,
-    NOBODY,
-    VX,
-    X,
-    gap_between,
-    has_passed,
-    lane_ends,
-    lead_id,
-)
+from schemas.driving.intent import NORMAL, PASS_SIGHT_M, PASS_SIGHT_S, STYLES, ends_soon
+from schemas.driving.road import ID, LANE_RAMP, LANE_WAY, NOBODY, VX, X, gap_between, has_passed, lead_id
 from schemas.wire.messages import Directive
 
 Rows = list[list[float]]
@@ -132,4 +120,4 @@ def goes_on(lanes: Lanes, lane: int, ego: list[float]) -> bool:
     """Whether a lane makes sense to be wished: it is there, of our direction, no ramp, and does not end soon."""
     if not 0 <= lane < len(lanes) or lanes[lane][LANE_WAY] < 0 or lanes[lane][LANE_RAMP]:
         return False
-    return not lane_ends(lanes, lane) or lanes[lane][LANE_END] - ego[X] >= LANE_ENDS_S * ego[VX]
+    return not ends_soon(lanes, lane, ego[X], ego[VX])

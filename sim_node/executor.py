@@ -95,7 +95,7 @@ def edit_set_points(
 def acceleration_command(
     speed: float, target_speed: float, last_accel: float, meta: int, style: int, dt: float
 ) -> float:
-    """Longitudinal acceleration for the next `dt` s, in [-6, 2.5] m/s2; never drives backwards.
+    """Longitudinal acceleration for the next `dt` s, in [-8, 2.5] m/s2; never drives backwards.
 
     Proportional to the speed error with bounded jerk; EMERGENCY_BRAKE brakes fully at once. style: 0 calm, 1 normal,
     2 assertive (`STYLE_ACCEL_MPS2`).

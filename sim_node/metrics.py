@@ -118,6 +118,7 @@ class Recorder:
     struck: Bools
     passed: Bools
     home: Ints
+    lane: Ints
     led: Ints
     close: Ints
     flips: Ints
@@ -169,6 +170,7 @@ class Recorder:
             "struck": False,
             "passed": False,
             "home": -1,
+            "lane": -1,
             "aimed": -1,
             "held": -1,
             **dict.fromkeys(COUNTS, 0),
@@ -209,7 +211,7 @@ class Recorder:
         speed, x = ego[:, VX].astype(np.float64), ego[:, X].astype(np.float64)
         self.start_x = np.where(a & np.isnan(self.start_x), x, self.start_x)
         self.home = np.where(a & (self.home < 0), lane, self.home)
-        self.x = np.where(a, x, self.x)
+        self.x, self.lane = np.where(a, x, self.x), np.where(a, lane, self.lane)
         self.ticks += a
         self.speed += np.where(a, speed, 0.0)
         self.fastest = np.where(a, np.maximum(self.fastest, speed), self.fastest)
@@ -295,7 +297,7 @@ class Recorder:
         obedience, minutes = self.obedience, n / hz / 60.0
         asked = int(obedience.asked[s])
         mean = float(self.speed[s]) / n
-        reached = not goal.reach_lanes or self.x[s] > goal.reach_x_m
+        reached = not goal.reach_lanes or (self.x[s] > goal.reach_x_m and int(self.lane[s]) in goal.reach_lanes)
         passed, collided, struck = bool(self.passed[s]), bool(self.collided[s]), bool(self.struck[s])
         success = bool(
             not collided and mean >= goal.mean_speed_mps and reached and (passed or not goal.pass_first_lead)

@@ -68,7 +68,7 @@ def directed(
     lane, pass_id, speed_mps, headway_s = draw_wish(rng, scenario, rows, home, overtake_share=1.0)
     if directive == "random":
         return lane, pass_id, speed_mps, headway_s
-    if directive == "hurry" and scenario.wish_lanes:
+    if directive == "hurry" and len(scenario.wish_lanes) > 1:
         lane = ANY_LANE
     return lane, pass_id, scenario.ego.speed_ceiling_mps, ASSERTIVE_HEADWAY_S
 

@@ -3,7 +3,8 @@ behind can stop, or need hardly brake, for the ego.
 
 RSS Definition 1 to both. Assumed: a follower reacts `follower_reaction_s` after the ego comes in, later for one at
 walking pace, then brakes with `follower_brake`, and takes the ego to brake with `shown_brake` at most (an emergency
-brake exceeds that). Where the change can wait, it is spared more than `courtesy_brake` as an IDM driver (MOBIL's b_safe).
+brake exceeds that). Where the change can wait, it is spared more than `courtesy_brake` as an IDM driver (MOBIL's
+b_safe).
 """
 
 from __future__ import annotations

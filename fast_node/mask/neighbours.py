@@ -1,8 +1,8 @@
 """Who is ahead, behind and facing the ego in every lane, now and where they are heading.
 
-Assumed beyond RSS: a car that moves sideways out of its lane is in the lane that it comes to as well, and settles there;
-one that stands askew is in the lane that it reaches into, and one near the end of a lane that ends in the lane to its
-left.
+Assumed beyond RSS: a car that moves sideways out of its lane is in the lane that it comes to as well, and settles
+there; one that stands askew is in the lane that it reaches into, and one near the end of a lane that ends in the lane
+to its left.
 """
 
 from __future__ import annotations

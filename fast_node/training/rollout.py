@@ -55,8 +55,8 @@ def _look_all(
     ttc: Any,
     short: Any,
 ) -> None:
-    """Of every scene: what the mask and the intent close, the speed cap, the lane wished now, the time to collision, and
-    the shortfall of the gap.
+    """Of every scene: what the mask and the intent close, the speed cap, the lane wished now, the time to collision
+    and the shortfall of the gap.
 
     near, rule, vehicle, wish_lane, cap, ttc, short: outputs; the rest as `Fleet` has it.
     """
@@ -70,7 +70,11 @@ def _look_all(
         if pass_id[s] >= 0:
             wish_lane[s] = intended_lane(rows[s], told_lane[s], pass_id[s])
         else:
-            wish_lane[s] = told_lane[s] if told_lane[s] >= 0 else unasked_lane(lanes[s], target_lane[s], previous[s])
+            wish_lane[s] = (
+                told_lane[s]
+                if told_lane[s] >= 0
+                else unasked_lane(lanes[s], target_lane[s], previous[s], rows[s, 0, X], rows[s, 0, VX])
+            )
         cap[s] = safe
         if obeyed:
             wished = choice.comfortable_mps(rows[s], near[s], lanes[s], target_lane[s], accel[s], v_des[s], headway[s])

@@ -40,8 +40,8 @@ FEATURES = (
 """dx/50, dy/4, dv/5 relative to the ego [m, m/s]; closing: 1/TTC [1/s]; y_des: intended minus own lateral position / 4
 (for others 0: no prediction of their changes); v_des and set_point: minus own speed, / 5; headway [s] / 3; speed / 10;
 changing: a lane change is under way; y_wished: whether any lane is intended (else y_des is 0); road_left: to the end of
-the lane aimed for [m] / 100, at most 3; cap: the speed that is admitted now minus own speed, / 5; left_open, right_open:
-whether a change to that side may begin."""
+the lane aimed for [m] / 100, at most 3; cap: the speed that is admitted now minus own speed, / 5; left_open,
+right_open: whether a change to that side may begin."""
 (
     PRESENCE,
     IS_EGO,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from schemas.driving.road import BEHIND_M as BEHIND_M
-from schemas.driving.road import LANE_WAY, LENGTH, NOBODY, VX, X, home_lane, is_car, lane_ends
+from schemas.driving.road import LANE_END, LANE_RAMP, LANE_WAY, LENGTH, NOBODY, VX, X, home_lane, is_car, lane_ends
 
 ANY_LANE = -1
 CALM, NORMAL, ASSERTIVE = range(3)
@@ -17,8 +17,8 @@ PASS_SIGHT_M = 60.0
 PASS_SIGHT_S = 5.0
 SPEED_TOLERANCE_MPS = 0.5
 """An intended speed is met within this."""
-LANE_ENDS_S = 10.0
-"""Nobody is sent to a lane that ends within this time of driving while another goes on."""
+LANE_ENDS_S, LANE_ENDS_M = 10.0, 50.0
+"""A lane ends soon that ends within this time of driving, and this many metres."""
 
 
 class Intent(NamedTuple):
@@ -34,17 +34,25 @@ class Intent(NamedTuple):
     """`CALM`, `NORMAL` or `ASSERTIVE`."""
 
 
-def unasked_lane(lanes: Any, target_lane: int, previous_lane: int) -> int:
+def ends_soon(lanes: Any, lane: int, x: float, speed: float) -> bool:
+    """Whether `lane` ends before the road does, and soon for a car at `x` [m] with `speed` [m/s]. A ramp always does."""
+    left = lanes[lane][LANE_END] - x
+    return lane_ends(lanes, lane) and bool(lanes[lane][LANE_RAMP] > 0.0 or left < LANE_ENDS_S * speed + LANE_ENDS_M)
+
+
+def unasked_lane(lanes: Any, target_lane: int, previous_lane: int, x: float, speed: float) -> int:
     """The lane to be in where none is wished: `ANY_LANE`, the policy chooses, on a road with a choice.
 
     It has none, and is to go to (or stay in) its home lane, where that is the only one of our direction that goes on,
-    in a borrowed oncoming lane, in a lane that ends, and until the change out of one is over.
+    in a borrowed oncoming lane, in a lane that ends soon, and until the change out of one is over.
 
     lanes: (L, 8) as `lane_table`; target_lane: the one aimed for; previous_lane: the one that a running change left,
-    or -1. Compiles with numba unchanged.
+    or -1; x [m], speed [m/s]: the ego's. Compiles with numba unchanged.
     """
     home = home_lane(lanes, target_lane)
-    if home != target_lane or (previous_lane >= 0 and lane_ends(lanes, previous_lane)):
+    if lanes[target_lane][LANE_WAY] < 0 or ends_soon(lanes, target_lane, x, speed):
+        return home
+    if previous_lane >= 0 and ends_soon(lanes, previous_lane, x, speed):
         return home
     for k in range(len(lanes)):
         if k != home and lanes[k][LANE_WAY] > 0 and not lane_ends(lanes, k):

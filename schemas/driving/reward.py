@@ -46,8 +46,9 @@ def reward(
     """(S,) reward of one decision that lasted `seconds`; what happens once (an action, a brake, a crash) counts whole.
 
     speed: mean over the decision [m/s]; v_des [m/s]; speed_range: what the efficiency term divides by [m/s];
-    accel_square: mean of a^2 [(m/s2)^2]; jerk_square: of its change, at most 25 [(m/s3)^2]; changes: LEFT or RIGHT; in_wished_lane: aims for it, or none is wished;
-    ttc_s: the smallest time to collision meanwhile; short: mean of `shortfall`; braked: the mask braked at some tick.
+    accel_square: mean of a^2 [(m/s2)^2]; jerk_square: of its change [(m/s3)^2]; changes: LEFT or RIGHT;
+    in_wished_lane: aims for it, or none is wished; ttc_s: the smallest time to collision meanwhile; short: mean of
+    `shortfall`; braked: the mask braked at some tick.
     """
     slow = np.abs(speed - v_des) / speed_range * np.where(speed > v_des, OVERSPEED, 1.0)
     running = (

@@ -167,8 +167,8 @@ class Action(Message, frozen=True, kw_only=True, tag="action"):
     probabilities: tuple[float, ...] = ()
     """The policy's, of its five actions, before mask and intent close any; empty where it has not spoken."""
     speed_cap_mps: float | None = None
-    """The ego drives no faster than this in the coming tick, whatever its set-point: what the cars ahead, the road's end
-    and the intent admit. None: no cap."""
+    """The ego drives no faster than this in the coming tick, whatever its set-point: what the cars ahead, the road's
+    end and the intent admit. None: no cap."""
     style: int = 1
     """How the executor drives: 0 calm, 1 normal, 2 assertive."""
 

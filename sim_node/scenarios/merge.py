@@ -76,6 +76,20 @@ def slow(lane: int, at_m: Range, speed_mps: Range, probability: float = 1.0) -> 
     )
 
 
+def stream(lane: int, count: tuple[int, int], gap_s: Range, speed_mps: Range) -> Flow:
+    """Cars one behind the other, from far behind the ego on, that keep their lane."""
+    return Flow(
+        lane=lane,
+        count=count,
+        start="at",
+        first_m=(-320.0, -300.0),
+        gap_m=(7.0, 7.0),
+        gap_s=gap_s,
+        speed_mps=speed_mps,
+        lane_changes=False,
+    )
+
+
 MERGE = Scenario(
     name="merge",
     description="from an on-ramp that ends onto a two-lane highway",
@@ -160,4 +174,16 @@ MAIN = replace(
     success=Success(reach_x_m=410.0, reach_lanes=(0, 1), mean_speed_mps=10.0),
 )
 
-SCENARIOS = (MERGE, NATURAL, MAIN)
+DENSE = replace(
+    NATURAL,
+    name="merge-dense",
+    description="from an on-ramp into a continuous stream, in which a gap must be chosen early and its speed matched",
+    lanes=lanes(200.0, 120.0, 110.0, 600.0, 25.0),
+    ego=EgoPlan(lanes=(2,), x_m=(20.0, 60.0), speed_mps=(18.0, 22.0), speed_ceiling_mps=25.0),
+    flows=(stream(0, (11, 14), (1.4, 2.6), (21.0, 22.5)), stream(1, (18, 20), (0.9, 1.7), (19.0, 21.0))),
+    success=Success(reach_x_m=490.0, reach_lanes=(0, 1)),
+    end_x_m=1050.0,
+    obstacles=((2, 430.0),),
+)
+
+SCENARIOS = (MERGE, NATURAL, MAIN, DENSE)

@@ -67,7 +67,13 @@ def test_many_scenes_drive_tick_by_tick_as_the_node_drives_one(name: str, seed: 
     compared = 0
     for tick in range(150):
         if not overtakes:
-            fleet.told_lane[0] = unasked_lane(fleet.lanes[0], int(world.target_lane[0]), int(world.previous_lane[0]))
+            fleet.told_lane[0] = unasked_lane(
+                fleet.lanes[0],
+                int(world.target_lane[0]),
+                int(world.previous_lane[0]),
+                float(world.rows[0, 0, X]),
+                float(world.rows[0, 0, VX]),
+            )
         driver.tick()
         action, events = fast.step(seen, told, 0)
         if overtakes and any(e.kind == "fulfilled" for e in events):
