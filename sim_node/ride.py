@@ -2,13 +2,13 @@
 
 Built as CARLA's driving score and LaMPilot's are: parts with weights, and a product with what safety takes away.
 
-    score = 100 * safety * (0.15 success + 0.30 comfort + 0.30 progress + 0.25 obedience)
+    score = 100 * safety * success * (0.35 comfort + 0.35 progress + 0.30 obedience)
 
 * safety is 0 after a collision that is the ego's fault: nothing makes up for it. Otherwise it is the product of
   `CLOSE_TTC` .. 1, rising with the smallest time to collision from 0 to `SAFE_TTC_S`, and of 1 less half of the share
   of ticks in which the ego follows with less than a second. A collision that is another's fault is a time to collision
   of 0: it happened to the passenger, too.
-* success: 1 or 0, as the scenario defines it.
+* success: 1 as the scenario defines it, `FAILED` otherwise: who comes comfortably to the wrong place has not driven well.
 * comfort: the mean of four parts, each `half / (half + x)`: 1 at rest, one half at the value in `COMFORT`, never quite
   0. x is the root mean square of jerk and of acceleration, the changes of sign of the acceleration in a minute, and the
   lane changes given up in a minute. No part is ever full, so the score does not saturate.
@@ -19,7 +19,7 @@ Built as CARLA's driving score and LaMPilot's are: parts with weights, and a pro
   at 90 % of the wished headway or more. Without a wish it is 1: nothing was asked.
 
 The weights are a judgement, not a measurement: comfort and progress pull against each other and weigh the same; to be
-obeyed is what the passenger speaks for; success is little by itself, since it is a condition of most of the rest.
+obeyed is what the passenger speaks for.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-SUCCESS, COMFORT_WEIGHT, PROGRESS, OBEDIENCE = 0.15, 0.30, 0.30, 0.25
+COMFORT_WEIGHT, PROGRESS, OBEDIENCE = 0.35, 0.35, 0.30
+FAILED = 0.4
+"""What is left of the score of an episode without success."""
 SAFE_TTC_S = 8.0
 CLOSE_TTC = 0.5
 """What is left of the score where a collision was 0 s away."""
@@ -95,10 +97,5 @@ def obedience(ride: Ride) -> float:
 
 def ride_score(ride: Ride) -> float:
     """The score of one episode, 0 to 100."""
-    parts = (
-        SUCCESS * ride.success
-        + COMFORT_WEIGHT * comfort(ride)
-        + PROGRESS * progress(ride)
-        + OBEDIENCE * obedience(ride)
-    )
-    return 100.0 * safety(ride) * parts
+    parts = COMFORT_WEIGHT * comfort(ride) + PROGRESS * progress(ride) + OBEDIENCE * obedience(ride)
+    return 100.0 * safety(ride) * (1.0 if ride.success else FAILED) * parts

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from sim_node.scenarios.scenario import EgoPlan, Flow, LanePlan, Piece, Range, Scenario, Success
 
-LENGTH_M = 2200.0
-EXIT_M = 560.0
+LENGTH_M = 2500.0
+EXIT_M = 1100.0
 
 
 def lane(y_m: float) -> LanePlan:
@@ -34,8 +34,8 @@ EXIT = Scenario(
     ego=EgoPlan(lanes=(0,), x_m=(200.0, 240.0), speed_mps=(26.0, 28.0), speed_ceiling_mps=30.0),
     flows=(
         stream(0, (1, 2), (330.0, 380.0), (2.0, 4.0), (26.0, 28.0)),
-        stream(1, (10, 12), (20.0, 60.0), (1.1, 2.6), (23.5, 24.5)),
-        stream(2, (12, 14), (20.0, 60.0), (1.0, 2.4), (20.5, 21.5)),
+        stream(1, (9, 11), (20.0, 60.0), (1.6, 4.4), (23.5, 24.5)),
+        stream(2, (10, 11), (20.0, 60.0), (1.6, 4.6), (20.5, 21.5)),
     ),
     success=Success(reach_x_m=EXIT_M, reach_lanes=(2,)),
     end_x_m=EXIT_M + 10.0,
