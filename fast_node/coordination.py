@@ -33,7 +33,7 @@ from schemas.wire.messages import Closure, Directive, Event, EventKind, MetaActi
 
 HEADWAY_SHARE = 0.9
 """A gap is long enough with this share of the wished headway at the ego's speed."""
-GAP_SLACK_M = 5.0
+GAP_SLACK_M = 4.0
 """A gap is short enough with as much over the wished headway as it may lack, and this: the room that is kept at a
 standstill, and what lies between two set-points of the speed."""
 FOLLOW_M = 100.0
