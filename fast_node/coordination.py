@@ -33,7 +33,7 @@ from schemas.wire.messages import Closure, Directive, Event, EventKind, MetaActi
 
 HEADWAY_SHARE = 0.9
 """A gap is long enough with this share of the wished headway at the ego's speed."""
-GAP_SLACK_M = 5.0
+GAP_SLACK_M = 4.0
 """A gap is short enough with as much over the wished headway as it may lack, and this: the room that is kept at a
 standstill, and what lies between two set-points of the speed."""
 FOLLOW_M = 100.0
@@ -242,8 +242,9 @@ class Coordination:
     ) -> int:
         """The lane to be in now: the wished one while it makes sense, else where it must be, else the policy's.
 
-        To overtake on a two-way road, beside the car to pass; on a one-way road the lane that is named for it, once the
-        car is near. A gap is driven to behind the car ahead: in the own lane. To stop, too.
+        To overtake on a two-way road, beside the car to pass; on a one-way road the lane that is named for it from when
+        the car is near until the ego has moved over, then any: there may be a slow car in it, too. A gap is driven to
+        behind the car ahead: in the own lane. To stop, too.
         """
         wish = self._standing
         if wish.stopped:
@@ -254,12 +255,16 @@ class Coordination:
         if pending is not None and pending.manoeuvre == "overtake":
             if two_way(lanes, home):
                 return home if returns(pending, lanes, home) else intended_lane(rows, home, self._pass.id)
+            aim = pending.target_lane
+            if observation.previous_lane < 0 and observation.target_lane == aim:
+                self._pass.moved_over = True
             if (
-                pending.target_lane is not None
-                and goes_on(lanes, pending.target_lane, rows[0])
+                aim is not None
+                and not self._pass.moved_over
                 and self._pass.is_near(rows)
+                and goes_on(lanes, aim, rows[0])
             ):
-                lane = pending.target_lane
+                lane = aim
         if lane is not None:
             return lane
         if gap is not None and pending is not None and pending.target_speed_mps is None:

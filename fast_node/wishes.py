@@ -76,6 +76,8 @@ class Overtaken:
     seen_tick: int
     id: int = NOBODY
     passed: bool = False
+    moved_over: bool = False
+    """On a one-way road: the ego has been in the lane that was named to pass in."""
     behind: bool = False
     """Its centre was behind the ego's when it was seen last."""
 

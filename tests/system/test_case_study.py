@@ -74,8 +74,10 @@ class Case:
     """What the ego has reached by then."""
     asks: Callable[[float, float], bool]
     """(s, m): whether it asks home, at this time and with this gap to the follower."""
+    first: Directive | None = None
+    """Until then."""
     before: tuple[tuple[str, str | None], ...] = ()
-    """Events until then, as `Replay.what` has them."""
+    """Events until the way home is asked for, as `Replay.what` has them."""
 
 
 TWO_WAY = Case(
@@ -105,7 +107,8 @@ ONE_WAY = Case(
     home_mps=25.0,
     starts_home_mps=26.6,
     asks=lambda t, gap_m: t >= 20.0,
-    before=(("fulfilled", None),),
+    first=Directive(epoch=1, stamp_ns=0, id=0, command_id=0, scene_tick=0, target_lane=1),
+    before=(("fulfilled", None), ("fulfilled", None)),
 )
 
 
@@ -152,7 +155,7 @@ def replay(case: Case, seed: int, *, obey: bool = False, duration_s: float = 30.
         now_ns, t = k * NS // HZ, k / HZ
         rows = rows_of(seen)
         follower = rows[rows[:, 0] == case.follower][0]
-        action, events = fast.step(seen, go if t >= 1.0 else None, now_ns)
+        action, events = fast.step(seen, go if t >= 1.0 else case.first, now_ns)
         if obey and t >= out.asked_s and seen.target_lane != home:
             action = structs.replace(action, meta_action=int(MetaAction.RIGHT))
         out.events += [(t, e) for e in events]
