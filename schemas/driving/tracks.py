@@ -379,7 +379,7 @@ class Tracks:
 
     def __init__(self) -> None:
         self._epoch: int | None = None
-        self._tick = 0
+        self._tick, self._lanes = 0, 0
         self._tracks: list[list[float]] = []
         self._noise = [0.0] * N_NOISE
 
@@ -391,14 +391,16 @@ class Tracks:
 
     def follow(self, observation: Observation, seen: Any, lanes: Any) -> list[list[float]]:
         """(T, COLUMNS): the ego and the cars that are seen or missed, to read at once and not to change. An observation
-        of the same tick again, or of an earlier one, begins anew, as does one of another epoch.
+        of the same tick again, or of an earlier one, begins anew, as does one of another epoch or road.
 
         seen: (V, 9) rows of the observation; lanes: (L, 8) as `lane_table`.
         """
         ticks = observation.tick - self._tick
-        if observation.epoch != self._epoch or ticks <= 0 or ticks > REMEMBER_S * observation.hz:
+        another = observation.epoch != self._epoch or len(lanes) != self._lanes
+        if another or ticks <= 0 or ticks > REMEMBER_S * observation.hz:
             self._epoch, self._tracks, self._noise = observation.epoch, [], [0.0] * N_NOISE
-        self._tick = observation.tick
+            ticks = 1
+        self._tick, self._lanes = observation.tick, len(lanes)
         while len(self._tracks) < len(seen) + SPARE:
             self._tracks.append([float(NOBODY)] + [0.0] * (COLUMNS - 1))
         follow(self._tracks, self._noise, seen, lanes, observation.sight_m, ticks / observation.hz)

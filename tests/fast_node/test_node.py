@@ -15,6 +15,7 @@ from fast_node.config import FastConfig
 from fast_node.mask import OPEN, PRESETS, lane_table
 from fast_node.node import FastNode
 from fast_node.policies.attention import load_attention
+from schemas.driving.tracks import Tracks
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import Directive, Manoeuvre, MetaAction, Observation, Style
 from tests.mask_scenes import ROADS, ROADS_BY_HAND, SIGHT_M, Scene, judge, presets, scenes
@@ -84,16 +85,16 @@ def failing() -> Failing:
         max_size=3,
     ),
 )
-def test_whatever_state_directive_and_policy_the_node_does_what_a_fresh_look_of_the_mask_leaves_open(
+def test_whatever_state_directive_and_policy_the_node_does_what_the_mask_leaves_open_of_its_tracks(
     failing, preset, ticks
 ):
-    node, tick = FastNode(FastConfig(), failing, PRESETS[preset]), 0
+    node, tracks, tick = FastNode(FastConfig(), failing, PRESETS[preset]), Tracks(), 0
     for scene, directive, instead, passed, now_s in ticks:
         failing.instead, tick = instead, tick + passed
         seen = seen_at(tick, scene)
         action, _ = node.step(seen, directive, now_s * 10**9)
         rule, _ = judge(
-            rows_of(seen).tolist(),
+            tracks.follow(seen, rows_of(seen).tolist(), lane_table(seen.lanes)),
             lane_table(seen.lanes),
             scene.target_speed,
             scene.lane,
