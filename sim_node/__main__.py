@@ -153,7 +153,7 @@ class Loop:
             return
         if self._shown:
             self._step()
-        self._show(due_ns)
+        self.show(due_ns)
         if not self._paused:
             self._step()
 
@@ -173,7 +173,8 @@ class Loop:
             goes = order.do != "pause"
         return goes
 
-    def _show(self, due_ns: int) -> None:
+    def show(self, due_ns: int) -> None:
+        """Publish the present state, which was due at `due_ns`, and wait for its answer."""
         observation = self._node.observation(time.monotonic_ns())
         self._answers.expect(observation, due_ns)
         self._bus.publish(OBSERVATION, observation)
@@ -243,6 +244,7 @@ def main() -> None:
                     loop.tick(due_ns)
                     heart.epoch = node.epoch
                     heart.end()
+                loop.show(schedule.wait())  # what the last step came to; nothing is done with the answer
             finally:
                 heart.end()
                 heart.state = "stopping"

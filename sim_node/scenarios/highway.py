@@ -77,6 +77,7 @@ NATURAL = replace(
     HIGHWAY,
     name="highway-natural",
     speed_set="natural",
+    starts_clear=True,
     lanes=lanes(33.0),
     ego=EgoPlan(lanes=(0, 1, 2, 3), x_m=(600.0, 600.0), speed_mps=(24.0, 29.0), speed_ceiling_mps=33.0),
     flows=flows((18.0, 29.7), (18.0, 21.0)),

@@ -121,6 +121,7 @@ NATURAL = replace(
     MERGE,
     name="merge-natural",
     speed_set="natural",
+    starts_clear=True,
     lanes=lanes(200.0, 120.0, 220.0, 600.0, 30.0),
     ego=EgoPlan(lanes=(2,), x_m=(20.0, 60.0), speed_mps=(18.0, 22.0), speed_ceiling_mps=30.0),
     flows=(

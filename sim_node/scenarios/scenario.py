@@ -16,6 +16,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from schemas.driving.intent import ANY_LANE
+from schemas.driving.measures import CAR_LENGTH_M, rss_same_direction_m
 from schemas.driving.road import NOBODY, lead_id
 from schemas.wire.messages import Lane
 
@@ -28,6 +29,13 @@ LEFT_ROAD_M = 20.0
 """Who is this near to the end of its road has left it."""
 CLEAR_M = 15.0
 """A car that would start nearer than this to one that is already there, centre to centre, is left out."""
+START_BRAKE_MPS2 = 6.0
+"""What whoever is in front may brake with from the first tick on; an ego that follows is sure of `EGO_SURE_MPS2`."""
+EGO_SURE_MPS2, EGO_REACTION_S = 5.0, 2.0 / 15.0
+FOLLOWER_REACTION_S, FOLLOWER_ACCEL_MPS2 = 0.8, 0.5
+"""Of RSS at the start: what the mask's preset "sim" assumes."""
+START_ROOM_M = 1.0
+"""The mask wants so much more room to a leader."""
 ALWAYS = -math.inf
 
 
@@ -163,6 +171,9 @@ class Scenario:
     sight_m: float = 200.0
     """How far the ego sees."""
     delta: Range = (3.5, 4.5)
+    starts_clear: bool = False
+    """The ego starts outside the RSS distances to whoever is ahead and behind in its lane, at every density: a car that
+    was drawn nearer starts farther away, or not at all where its place is that of an "at" flow."""
     expect: Expect = Expect()
 
     def __post_init__(self) -> None:
@@ -266,6 +277,12 @@ class Scenario:
                         speed = min(speed, ego_speed)
                     gap = rng.uniform(*flow.gap_m) + rng.uniform(*flow.gap_s) * speed
                     at += way * (rng.uniform(*flow.first_m) if i == 0 else gap)
+                    if self.starts_clear and lane == ego_lane:
+                        least = start_clearance_m(speed, ego_speed, ahead=at >= ego_x)
+                        if flow.start == "at" and abs(at - ego_x) < least:
+                            continue
+                        if flow.start != "at":
+                            at = ego_x + way * max(way * (at - ego_x), least)
                     if all(abs(at - x) >= CLEAR_M for x, k, *_ in cars if k == lane):
                         cars.append((at, lane, speed, target, flow.lane_changes))
         x, lane_of, speeds, targets, changes = (np.array(column) for column in zip(*cars, strict=True))
@@ -282,6 +299,18 @@ class Scenario:
             rng.uniform(0.0, 1.0, size=n),
             changes,
         )
+
+
+def start_clearance_m(speed_mps: float, ego_mps: float, *, ahead: bool) -> float:
+    """How far a car in the ego's lane must be away at the start, centre to centre, for the one behind to be able to
+    stop behind the one in front, by RSS."""
+    if ahead:
+        gap = rss_same_direction_m(ego_mps, speed_mps, EGO_REACTION_S, 0.0, EGO_SURE_MPS2, START_BRAKE_MPS2)
+    else:
+        gap = rss_same_direction_m(
+            speed_mps, ego_mps, FOLLOWER_REACTION_S, FOLLOWER_ACCEL_MPS2, START_BRAKE_MPS2, START_BRAKE_MPS2
+        )
+    return CAR_LENGTH_M + START_ROOM_M + gap
 
 
 def streams(seed: int) -> tuple[Generator, Generator, Generator]:

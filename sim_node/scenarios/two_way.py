@@ -58,6 +58,7 @@ NATURAL = replace(
     TWO_WAY,
     name="two-way-natural",
     speed_set="natural",
+    starts_clear=True,
     lanes=lanes(5000.0, 25.0),
     ego=EgoPlan(lanes=(1,), x_m=(1500.0, 1500.0), speed_mps=(14.0, 18.0), speed_ceiling_mps=25.0),
     flows=(
