@@ -7,6 +7,7 @@ Ranges are (low, high) of a uniform draw; of integers both ends are included.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from schemas.driving.intent import ANY_LANE
 from schemas.driving.road import NOBODY, lead_id
 from schemas.wire.messages import Lane
+from sim_node.scenarios.manners import NARROW_M, USUAL, VARIED, Manners, draw
 
 Range = tuple[float, float]
 PIECE_LANE, PIECE_START, PIECE_END, PIECE_Y, PIECE_AMPLITUDE, PIECE_PULSATION, PIECE_PHASE = range(7)
@@ -137,6 +139,8 @@ class Spawn(NamedTuple):
     """Since when it last considered a lane change, s."""
     lane_changes: NDArray[np.bool_]
     """Whether it considers them at all."""
+    manners: NDArray[np.float64]
+    """(V, 11) in the columns of `sim_node.scenarios.manners`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,6 +167,7 @@ class Scenario:
     sight_m: float = 200.0
     """How far the ego sees."""
     delta: Range = (3.5, 4.5)
+    manners: Manners = USUAL
     expect: Expect = Expect()
 
     def __post_init__(self) -> None:
@@ -195,6 +200,31 @@ class Scenario:
                 for f in self.flows
             ),
         )
+
+    def narrower(self, width_m: float) -> Scenario:
+        """The same road with lanes of this width: whatever lies beside the first lane's centre comes nearer by the
+        same factor."""
+        factor = width_m / self.lanes[0].width_m
+
+        def nearer(piece: Piece) -> Piece:
+            return replace(piece, y_m=factor * piece.y_m, amplitude_m=factor * piece.amplitude_m)
+
+        return replace(
+            self,
+            lanes=tuple(
+                replace(plan, width_m=factor * plan.width_m, pieces=tuple(map(nearer, plan.pieces)))
+                for plan in self.lanes
+            ),
+        )
+
+    def varied(self, names: Sequence[str]) -> Scenario:
+        """The same road with other traffic: names of `manners.VARIED`. Raises ValueError for another name."""
+        unknown = sorted(set(names) - set(VARIED))
+        if unknown:
+            raise ValueError(f"traffic {', '.join(unknown)}: choose from {', '.join(VARIED)}")
+        fields = {field: value for name in names for field, value in VARIED[name].items()}
+        other = replace(self, manners=replace(self.manners, **fields))
+        return other.narrower(NARROW_M) if "narrow" in names else other
 
     @property
     def vehicles_max(self) -> int:
@@ -281,6 +311,7 @@ class Scenario:
             rng.uniform(*self.delta, size=n),
             rng.uniform(0.0, 1.0, size=n),
             changes,
+            draw(self.manners, rng, x, lane_of),
         )
 
 
