@@ -63,7 +63,7 @@ def comfortable_mps(
         wished = min(wished, lead_mps + closing_mps(spare))
     if lane_ends(lanes, target_lane):  # whoever comes fast to where it opens only has to brake there
         wished = min(wished, speed_before(lanes, target_lane, max(ego[X], lanes[target_lane][LANE_OPENS])))
-    v = ego[VX]
+    v = float(ego[VX])
     return max(wished, v - COMFORT_BRAKE_MPS2, v + min(accel, 0.0) - COMFORT_JERK_MPS3 / 15.0)
 
 

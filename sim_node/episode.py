@@ -49,6 +49,7 @@ def populate(road: Road, scenario: Scenario, lanes: LaneMap, spawn: Spawn, dt: f
             timer=float(spawn.timer[i]),
         )
         vehicle.DELTA = float(spawn.delta[i])
+        vehicle.behave(spawn.manners[i])
         vehicle.number = i
         road.vehicles.append(vehicle)
     return ego

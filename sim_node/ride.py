@@ -8,7 +8,8 @@ Built as CARLA's driving score and LaMPilot's are: parts with weights, and a pro
   `CLOSE_TTC` .. 1, rising with the smallest time to collision from 0 to `SAFE_TTC_S`, and of 1 less half of the share
   of ticks in which the ego follows with less than a second. A collision that is another's fault is a time to collision
   of 0: it happened to the passenger, too.
-* success: 1 as the scenario defines it, `FAILED` otherwise: who comes comfortably to the wrong place has not driven well.
+* success: 1 as the scenario defines it, `FAILED` otherwise: who comes comfortably to the wrong place has not driven
+  well.
 * comfort: the mean of four parts, each `half / (half + x)`: 1 at rest, one half at the value in `COMFORT`, never quite
   0. x is the root mean square of jerk and of acceleration, the changes of sign of the acceleration in a minute, and the
   lane changes given up in a minute. No part is ever full, so the score does not saturate.

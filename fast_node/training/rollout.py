@@ -395,6 +395,10 @@ class Scenes(Fleet):
         self.age += 1
         seconds = self._decision_ticks / HZ
         speed = (w.rows[:, 0, X] - start_x).astype(np.float64) / seconds
+        over = self.over()
+        lanes, end = self.task.goal[1:]
+        astray = ~np.isin(w.rows[:, 0, LANE], lanes) & bool(lanes)
+        missed = ~w.crashed & (w.rows[:, 0, X] > end) & astray
         earned = reward(
             speed,
             self.v_des,
@@ -408,8 +412,8 @@ class Scenes(Fleet):
             braked,
             w.crashed,
             seconds,
+            missed,
         )
-        over = self.over()
         terminated = w.crashed.copy()
         # The goal and the road's end cut an episode off: what would come after is worth what the value says.
         truncated = ((self.age * self._decision_ticks >= self.task.duration_ticks) | over) & ~terminated

@@ -35,7 +35,7 @@ class Intent(NamedTuple):
 
 
 def ends_soon(lanes: Any, lane: int, x: float, speed: float) -> bool:
-    """Whether `lane` ends before the road does, and soon for a car at `x` [m] with `speed` [m/s]. A ramp always does."""
+    """Whether `lane` ends before the road does, and soon for a car at `x` [m] with `speed` [m/s]; a ramp always."""
     left = lanes[lane][LANE_END] - x
     return lane_ends(lanes, lane) and bool(lanes[lane][LANE_RAMP] > 0.0 or left < LANE_ENDS_S * speed + LANE_ENDS_M)
 

@@ -22,6 +22,8 @@ JERK = -0.02
 CHANGE = -0.1
 """For a lane change, or giving one up."""
 LANE = 0.3
+MISSED = -3.0
+"""For driving past the place that had to be reached, in a lane that does not lead there."""
 OVERSPEED = 1.5
 """Too fast counts this much more than too slow."""
 
@@ -42,13 +44,14 @@ def reward(
     braked: Bools,
     crashed: Bools,
     seconds: float = 1.0,
+    missed: Bools | bool = False,
 ) -> NDArray[np.float32]:
     """(S,) reward of one decision that lasted `seconds`; what happens once (an action, a brake, a crash) counts whole.
 
     speed: mean over the decision [m/s]; v_des [m/s]; speed_range: what the efficiency term divides by [m/s];
     accel_square: mean of a^2 [(m/s2)^2]; jerk_square: of its change [(m/s3)^2]; changes: LEFT or RIGHT;
     in_wished_lane: aims for it, or none is wished; ttc_s: the smallest time to collision meanwhile; short: mean of
-    `shortfall`; braked: the mask braked at some tick.
+    `shortfall`; braked: the mask braked at some tick; missed: the goal was driven past.
     """
     slow = np.abs(speed - v_des) / speed_range * np.where(speed > v_des, OVERSPEED, 1.0)
     running = (
@@ -60,7 +63,7 @@ def reward(
         + NEAR * np.clip(1.0 - ttc_s / NEAR_S, 0.0, 1.0)
         + SHORT * short
     )
-    total = seconds * running + CHANGE * changes + BRAKE * braked + CRASH * crashed
+    total = seconds * running + CHANGE * changes + BRAKE * braked + CRASH * crashed + MISSED * missed
     return np.asarray(SCALE * total, np.float32)
 
 

@@ -126,6 +126,8 @@ class Batched:
             f[layout.X, i], lane[i], g[layout.KIND, i] = at, k, layout.OBSTACLE
             f[layout.CAR_LENGTH, i] = OBSTACLE_M
         g[layout.TARGET_LANE, :n] = self._lane_numbers(spawn)
+        for i in range(0 if self._kind == layout.TRAFFIC else 1, n):
+            layout.set_manners(f, i, spawn.manners[i])
         if self._kind == layout.EXECUTOR:
             f[layout.DELTA, 0], f[layout.TIMER, 0], g[layout.CHANGES, 0], g[layout.TARGET_LANE, 0] = 1.0, 0.0, 0, 0
         else:

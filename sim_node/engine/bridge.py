@@ -11,6 +11,7 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.objects import Obstacle
 from numpy.typing import NDArray
 
+from schemas.driving.measures import CAR_LENGTH_M
 from schemas.wire.messages import ROW_COLUMNS
 from sim_node.ego import EgoVehicle
 from sim_node.engine import tables
@@ -30,10 +31,6 @@ KINDS: dict[type, int] = {
 
 CONSTANTS: dict[str, float] = {
     "ACC_MAX": layout.ACC_MAX,
-    "COMFORT_ACC_MAX": layout.COMFORT_ACC_MAX,
-    "COMFORT_ACC_MIN": layout.COMFORT_ACC_MIN,
-    "DISTANCE_WANTED": layout.DISTANCE_WANTED,
-    "TIME_WANTED": layout.TIME_WANTED,
     "POLITENESS": 0.0,
     "LANE_CHANGE_MIN_ACC_GAIN": layout.LANE_CHANGE_MIN_ACC_GAIN,
     "LANE_CHANGE_MAX_BRAKING_IMPOSED": layout.LANE_CHANGE_MAX_BRAKING_IMPOSED,
@@ -48,6 +45,14 @@ CONSTANTS: dict[str, float] = {
     "WIDTH": layout.VEHICLE_WIDTH_M,
 }
 """What is compiled in; a vehicle that has another value, of its own or of its class, is upstream's."""
+
+
+def manners_of(vehicle: IDMVehicle) -> list[float]:
+    """A row of `Spawn.manners` that describes the vehicle."""
+    hard, sway = getattr(vehicle, "hard", TrafficVehicle.hard), getattr(vehicle, "sway", TrafficVehicle.sway)
+    idm = (vehicle.COMFORT_ACC_MAX, -vehicle.COMFORT_ACC_MIN, vehicle.DISTANCE_WANTED, vehicle.TIME_WANTED)
+    return [*idm, vehicle.LENGTH, *hard, *sway]
+
 
 NO_VIEW = View(
     np.zeros((0, 0, len(ROW_COLUMNS)), np.float32), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0, np.int64), 0.0, 0.0
@@ -121,6 +126,7 @@ class Bridge:
         floats[layout.TARGET_SPEED] = [getattr(v, "target_speed", 0.0) for v in everything]
         floats[layout.DELTA] = [getattr(v, "DELTA", 1.0) for v in everything]
         floats[layout.TIMER] = [getattr(v, "timer", 0.0) for v in everything]
+        floats[layout.AGE] = [getattr(v, "age", 0.0) for v in everything]
         ints[layout.LANE] = [number[v.lane_index] for v in everything]
         ints[layout.TARGET_LANE] = [number[getattr(v, "target_lane_index", v.lane_index)] for v in everything]
         ints[layout.CRASHED] = [v.crashed for v in everything]
@@ -146,7 +152,7 @@ class Bridge:
     def write(self, road: Road) -> None:
         """Give the vehicles and objects the state that `read` took and the kernel advanced."""
         rows, ints = self.f[0].tolist(), self.g[0]
-        for v, kind, x, y, heading, speed, timer, steering, accel in zip(
+        for v, kind, x, y, heading, speed, timer, steering, accel, age in zip(
             road.vehicles,
             self.kinds,
             rows[layout.X],
@@ -156,6 +162,7 @@ class Bridge:
             rows[layout.TIMER],
             rows[layout.STEERING],
             rows[layout.ACCEL],
+            rows[layout.AGE],
             strict=False,
         ):
             position = v.position
@@ -166,6 +173,8 @@ class Bridge:
             v.action = {"steering": steering, "acceleration": accel}
             if kind <= layout.TRAFFIC:
                 v.timer = timer
+            if kind == layout.TRAFFIC:
+                v.age = age
         indices, lanes, cars = self.tables.indices, self.tables.lanes, len(road.vehicles)
         for i in np.flatnonzero((ints[_MARKS] != self._before).any(axis=0) | (ints[layout.PUSHED] != 0)):
             v = self._everything[i]
@@ -204,6 +213,8 @@ class Bridge:
                 raise UnsupportedError("an executor's car that is not the first vehicle")
             if not (v.solid and v.collidable):
                 raise UnsupportedError("things that one can drive through")
+            if kind in (layout.IDM, layout.MDP) and v.LENGTH != CAR_LENGTH_M:
+                raise UnsupportedError(f"{type(v).__name__} of another length")
             for name, value in CONSTANTS.items():
                 if getattr(v, name, value) != value:
                     raise UnsupportedError(f"{type(v).__name__} with another {name}")
@@ -213,6 +224,9 @@ class Bridge:
             layout.VEHICLE_WIDTH_M,
         )
         self.g[0, layout.KIND] = kinds
+        for i, (v, kind) in enumerate(zip(everything, kinds, strict=True)):
+            if layout.ABSENT < kind <= layout.TRAFFIC:
+                layout.set_manners(self.f[0], i, manners_of(v))
         self.scratch = layout.new_scratch(n, len(self.tables.lanes))
         first = everything[0]
         if kinds[0] == layout.EXECUTOR:

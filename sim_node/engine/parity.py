@@ -30,7 +30,8 @@ from sim_node.engine.batched import Batched, BatchedRoads
 from sim_node.engine.kernel import layout
 from sim_node.env import ScenarioEnv
 from sim_node.observe import rows
-from sim_node.scenarios import SCENARIOS
+from sim_node.scenarios import SCENARIOS, Scenario
+from sim_node.scenarios.manners import VARIED
 from sim_node.scenarios.scenario import streams
 
 DECISION_HZ = 5
@@ -41,6 +42,11 @@ STOCK: dict[str, tuple[str, dict[str, Any]]] = {
     "merge-v1": ("merge-v1", {}),
     "two-way-v0": ("two-way-v0", {}),
 }
+OURS: dict[str, Scenario] = {
+    **SCENARIOS,
+    **{f"{name}, varied": SCENARIOS[name].varied(list(VARIED)) for name in ("highway", "merge", "two-way-natural")},
+}
+"""Our scenarios, and some of them with trucks, sudden braking, sway, other drivers and narrow lanes at once."""
 ROAD_END_M = {"two-way-v0": 770.0}
 """Beyond this upstream divides by zero (`TwoWayEnv._rewards`); the comparison stops before."""
 
@@ -80,7 +86,7 @@ class Figures:
 
 def cases() -> list[str]:
     """Stock environments, then our scenarios."""
-    return [*STOCK, *SCENARIOS]
+    return [*STOCK, *OURS]
 
 
 def compare(case: str, seed: int, seconds: float) -> list[Figures]:
@@ -137,7 +143,7 @@ def _compare_stock(case: str, seed: int, seconds: float) -> list[Figures]:
 
 
 def _compare_ours(case: str, seed: int, seconds: float) -> list[Figures]:
-    scenario = SCENARIOS[case]
+    scenario = OURS[case]
     plain = type("Plain", (ScenarioEnv,), {"_simulate": AbstractEnv._simulate})
     slow, fast = (kind(scenario, decision_hz=DECISION_HZ, duration_s=None) for kind in (plain, accelerate(ScenarioEnv)))
     worst_observation = _gap(slow.reset(seed=seed)[0], fast.reset(seed=seed)[0])

@@ -1,4 +1,4 @@
-"""An exit that must be reached from the fast lane, through a slower and dense lane: judgement, not speed, gets there."""
+"""An exit that must be reached from the fast lane through slower, denser ones: judgement gets there, not speed."""
 
 from __future__ import annotations
 
@@ -40,6 +40,7 @@ EXIT = Scenario(
     success=Success(reach_x_m=EXIT_M, reach_lanes=(2,)),
     end_x_m=EXIT_M + 10.0,
     speed_set="natural",
+    starts_clear=True,
     duration_s=60.0,
     wish_lanes=(2,),
 )

@@ -7,6 +7,7 @@ Ranges are (low, high) of a uniform draw; of integers both ends are included.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
@@ -19,6 +20,7 @@ from schemas.driving.intent import ANY_LANE
 from schemas.driving.measures import CAR_LENGTH_M, rss_same_direction_m
 from schemas.driving.road import NOBODY, lead_id
 from schemas.wire.messages import Lane
+from sim_node.scenarios.manners import NARROW_M, USUAL, VARIED, Manners, draw
 
 Range = tuple[float, float]
 PIECE_LANE, PIECE_START, PIECE_END, PIECE_Y, PIECE_AMPLITUDE, PIECE_PULSATION, PIECE_PHASE = range(7)
@@ -145,6 +147,8 @@ class Spawn(NamedTuple):
     """Since when it last considered a lane change, s."""
     lane_changes: NDArray[np.bool_]
     """Whether it considers them at all."""
+    manners: NDArray[np.float64]
+    """(V, 11) in the columns of `sim_node.scenarios.manners`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,6 +178,7 @@ class Scenario:
     starts_clear: bool = False
     """The ego starts outside the RSS distances to whoever is ahead and behind in its lane, at every density: a car that
     was drawn nearer starts farther away, or not at all where its place is that of an "at" flow."""
+    manners: Manners = USUAL
     expect: Expect = Expect()
 
     def __post_init__(self) -> None:
@@ -206,6 +211,31 @@ class Scenario:
                 for f in self.flows
             ),
         )
+
+    def narrower(self, width_m: float) -> Scenario:
+        """The same road with lanes of this width: whatever lies beside the first lane's centre comes nearer by the
+        same factor."""
+        factor = width_m / self.lanes[0].width_m
+
+        def nearer(piece: Piece) -> Piece:
+            return replace(piece, y_m=factor * piece.y_m, amplitude_m=factor * piece.amplitude_m)
+
+        return replace(
+            self,
+            lanes=tuple(
+                replace(plan, width_m=factor * plan.width_m, pieces=tuple(map(nearer, plan.pieces)))
+                for plan in self.lanes
+            ),
+        )
+
+    def varied(self, names: Sequence[str]) -> Scenario:
+        """The same road with other traffic: names of `manners.VARIED`. Raises ValueError for another name."""
+        unknown = sorted(set(names) - set(VARIED))
+        if unknown:
+            raise ValueError(f"traffic {', '.join(unknown)}: choose from {', '.join(VARIED)}")
+        fields = {field: value for name in names for field, value in VARIED[name].items()}
+        other = replace(self, manners=replace(self.manners, **fields))
+        return other.narrower(NARROW_M) if "narrow" in names else other
 
     @property
     def vehicles_max(self) -> int:
@@ -298,6 +328,7 @@ class Scenario:
             rng.uniform(*self.delta, size=n),
             rng.uniform(0.0, 1.0, size=n),
             changes,
+            draw(self.manners, rng, x, lane_of),
         )
 
 
@@ -324,7 +355,7 @@ def draw_wish(
 ) -> tuple[int, int, float, float]:
     """A random directive, as in training: (lane or `ANY_LANE`, id of the car to overtake or -1, speed, headway).
 
-    Half of the lane wishes leave the lane open; where `wish_lanes` is empty an overtake is wished, or to stay.
+    Half of the lane wishes leave the lane open, where there is more than one; where `wish_lanes` is empty an overtake is wished, or to stay.
     """
     low, high = scenario.ego.speed_floor_mps, scenario.ego.speed_ceiling_mps
     eager = rng.random() < 0.5
@@ -332,7 +363,8 @@ def draw_wish(
     speed = high if eager else float(rng.uniform(low if rng.random() < 0.1 else 0.5 * high, high))
     headway = float(rng.uniform(0.8, 2.5))
     if scenario.wish_lanes:
-        lane = ANY_LANE if rng.random() < 0.5 else int(rng.choice(scenario.wish_lanes))
+        chooses = len(scenario.wish_lanes) > 1 and rng.random() < 0.5
+        lane = ANY_LANE if chooses else int(rng.choice(scenario.wish_lanes))
         return lane, NOBODY, speed, headway
     lead = lead_id(rows, home)
     if lead >= 0 and rng.random() < overtake_share:

@@ -184,6 +184,7 @@ def earned(
             one(v_des),
             0.5 * v_des,
             one(accel2),
+            one(0.0),
             one(acted),
             one(in_lane),
             one(ttc_s),

@@ -11,16 +11,18 @@ from sim_node.engine.kernel.layout import (
     ABSENT,
     ACC_MAX,
     ACCEL,
+    AGE,
     ANGLE,
     CAR_LENGTH,
     CHANGES,
-    COMFORT_ACC_MAX,
     CRASHED,
     DELTA,
-    DISTANCE_WANTED,
     FASTER,
-    GAP_DIVISOR,
     IDM,
+    IDM_ACCEL,
+    IDM_DIVISOR,
+    IDM_GAP,
+    IDM_TIME,
     KIND,
     KP_A,
     KP_HEADING,
@@ -40,17 +42,20 @@ from sim_node.engine.kernel.layout import (
     SPEED,
     SPEED_INDEX,
     STEERING,
+    SWAY_M,
+    SWAY_PHASE,
+    SWAY_RATE,
     TARGET_LANE,
     TARGET_SPEED,
     TAU_PURSUIT,
-    TIME_WANTED,
     TIMER,
     TRAFFIC,
     X,
     Y,
 )
-from sim_node.engine.loops import ARCSIN, ARCTAN, TAN, dot, power, unary
+from sim_node.engine.loops import ARCSIN, ARCTAN, SIN, TAN, dot, one, power, unary
 from sim_node.engine.tables import COUNT, FIRST, LENGTH, LIMIT, LINK_LANE, LINK_OFFSET, LINKS, LINKS_END, WIDTH
+from sim_node.traffic import longer_m
 
 
 def _neighbours(calls: Any, roads: Any, scratch: Any, f: Any, g: Any, i: int, k: int) -> tuple[int, int]:
@@ -97,24 +102,25 @@ def _speed_ratio(roads: Any, f: Any, g: Any, e: int) -> float:
     return float(max(f[SPEED, e], 0.0) / abs(not_zero(target)))
 
 
-def _desired_gap(calls: Any, scratch: Any, f: Any, e: int, front: int) -> float:
-    """IDMVehicle.desired_gap."""
+def _desired_gap(calls: Any, scratch: Any, f: Any, i: int, e: int, front: int) -> float:
+    """TrafficVehicle.desired_gap of `e` to `front` in the eyes of `i`, and IDMVehicle's for cars of its length."""
     v, c, s = f[SPEED, e], scratch.cos[e], scratch.sin[e]
     vx = v * c - f[SPEED, front] * scratch.cos[front]
     vy = v * s - f[SPEED, front] * scratch.sin[front]
     closing = dot(calls.loops, calls.args, calls.box, vx, vy, c, s)
-    return float(DISTANCE_WANTED + v * TIME_WANTED + v * closing / GAP_DIVISOR)
+    distance = f[IDM_GAP, i] + longer_m(f[CAR_LENGTH, e], f[CAR_LENGTH, front])
+    return float(distance + v * f[IDM_TIME, i] + v * closing / f[IDM_DIVISOR, i])
 
 
-def _behind(calls: Any, roads: Any, scratch: Any, f: Any, g: Any, free: float, e: int, front: int) -> float:
-    """IDMVehicle.acceleration of vehicle `e` behind `front`; free: its speed ratio to the power of delta."""
-    acceleration = COMFORT_ACC_MAX * (1 - free)
+def _behind(calls: Any, roads: Any, scratch: Any, f: Any, g: Any, free: float, i: int, e: int, front: int) -> float:
+    """IDMVehicle.acceleration of `e` behind `front` in the eyes of `i`; free: its speed ratio to the power of delta."""
+    acceleration = f[IDM_ACCEL, i] * (1 - free)
     if front >= 0:
         lane = roads.lanes[g[LANE, e]]
         d = along(lane, f[X, front]) - along(lane, f[X, e])
-        ratio = _desired_gap(calls, scratch, f, e, front) / not_zero(d)
-        acceleration -= COMFORT_ACC_MAX * (ratio * ratio)
-    return acceleration
+        ratio = _desired_gap(calls, scratch, f, i, e, front) / not_zero(d)
+        acceleration -= f[IDM_ACCEL, i] * (ratio * ratio)
+    return float(acceleration)
 
 
 def _mobil(calls: Any, roads: Any, scratch: Any, f: Any, g: Any, i: int, k: int) -> bool:
@@ -124,13 +130,13 @@ def _mobil(calls: Any, roads: Any, scratch: Any, f: Any, g: Any, i: int, k: int)
         box = calls.box
         box[0], box[1] = _speed_ratio(roads, f, g, new_rear), f[DELTA, i]
         power(calls.loops, calls.args, box, box[1:], box[2:], 1)
-        braking = _behind(calls, roads, scratch, f, g, box[2], new_rear, i)
+        braking = _behind(calls, roads, scratch, f, g, box[2], i, new_rear, i)
         if braking < -LANE_CHANGE_MAX_BRAKING_IMPOSED:
             return False
     old_front, _ = _neighbours(calls, roads, scratch, f, g, i, g[LANE, i])
     free = scratch.free[i]
-    gain = _behind(calls, roads, scratch, f, g, free, i, new_front) - _behind(
-        calls, roads, scratch, f, g, free, i, old_front
+    gain = _behind(calls, roads, scratch, f, g, free, i, i, new_front) - _behind(
+        calls, roads, scratch, f, g, free, i, i, old_front
     )
     return not gain < LANE_CHANGE_MIN_ACC_GAIN
 
@@ -144,7 +150,7 @@ def _change_lane(calls: Any, roads: Any, scratch: Any, f: Any, g: Any, i: int) -
                 if g[TARGET_LANE, v] == target and v != i and g[LANE, v] != target and IDM <= g[KIND, v] <= MDP:
                     lane = roads.lanes[k]
                     d = along(lane, f[X, v]) - along(lane, f[X, i])
-                    if 0 < d < _desired_gap(calls, scratch, f, i, v):
+                    if 0 < d < _desired_gap(calls, scratch, f, i, i, v):
                         g[TARGET_LANE, i] = k
                         break
         return
@@ -203,17 +209,21 @@ def act(calls: Any, roads: Any, scratch: Any, f: Any, g: Any) -> None:
             if g[CHANGES, i]:
                 _change_lane(calls, roads, scratch, f, g, i)
             front, _ = _neighbours(calls, roads, scratch, f, g, i, g[LANE, i])
-            accel = _behind(calls, roads, scratch, f, g, scratch.free[i], i, front)
+            accel = _behind(calls, roads, scratch, f, g, scratch.free[i], i, i, front)
             if g[LANE, i] != g[TARGET_LANE, i]:
                 front, _ = _neighbours(calls, roads, scratch, f, g, i, g[TARGET_LANE, i])
-                accel = min(accel, _behind(calls, roads, scratch, f, g, scratch.free[i], i, front))
+                accel = min(accel, _behind(calls, roads, scratch, f, g, scratch.free[i], i, i, front))
             f[ACCEL, i] = clip(accel, -ACC_MAX, ACC_MAX)
         else:
             continue
         # ControlledVehicle.steering_control, which nobody reads before the step: all together, below.
         lane = roads.lanes[g[TARGET_LANE, i]]
         s = along(lane, f[X, i])
-        lateral_speed = -KP_LATERAL * across(calls, lane, s, f[Y, i])
+        y = f[Y, i]
+        if f[SWAY_M, i] != 0.0:
+            angle = f[SWAY_RATE, i] * f[AGE, i] + f[SWAY_PHASE, i]
+            y -= f[SWAY_M, i] * one(calls.loops, SIN, calls.args, calls.box, angle)
+        lateral_speed = -KP_LATERAL * across(calls, lane, s, y)
         lane_heading = heading_at(calls, lane, s + f[SPEED, i] * TAU_PURSUIT)
         sine = clip(lateral_speed / not_zero(f[SPEED, i]), -1.0, 1.0)
         if sine == 0.0 and lane_heading == f[ANGLE, i]:

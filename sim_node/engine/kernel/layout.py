@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +10,13 @@ from numpy.typing import NDArray
 from sim_node.engine.loops import addresses
 
 X, Y, ANGLE, SPEED, TARGET_SPEED, DELTA, TIMER, STEERING, ACCEL, PUSH_X, PUSH_Y, CAR_LENGTH, CAR_WIDTH = range(13)
-"""Rows of the float state (S, 13, V). PUSH: the impact of a collision, applied at the next step."""
-FLOATS = 13
+AGE, IDM_ACCEL, IDM_GAP, IDM_TIME, IDM_DIVISOR, HARD_FROM, HARD_TO, HARD_MPS2, SWAY_M, SWAY_RATE, SWAY_PHASE = range(
+    13, 24
+)
+"""Rows of the float state (S, 24, V). PUSH: the impact of a collision, applied at the next step. AGE: seconds that a
+TRAFFIC car has driven. IDM_...: of IDM and TRAFFIC cars; DIVISOR: 2 * sqrt(acceleration * braking). The others: see
+`sim_node.scenarios.manners`."""
+FLOATS = 24
 KIND, LANE, TARGET_LANE, CRASHED, PUSHED, CHANGES, CHECKS, SPEED_INDEX = range(8)
 """Rows of the int state (S, 8, V). CHANGES: `enable_lane_change`; CHECKS: `check_collisions`."""
 INTS = 8
@@ -25,10 +30,6 @@ ABSENT_X_M = 1e6
 
 # highway-env's constants; tests/test_engine.py compares them with the installed version.
 ACC_MAX = 6.0
-COMFORT_ACC_MAX = 3.0
-COMFORT_ACC_MIN = -5.0
-DISTANCE_WANTED = 10.0
-TIME_WANTED = 1.5
 LANE_CHANGE_MIN_ACC_GAIN = 0.2
 LANE_CHANGE_MAX_BRAKING_IMPOSED = 2.0
 LANE_CHANGE_DELAY = 1.0
@@ -41,7 +42,6 @@ TAU_PURSUIT = 0.5 * 0.2
 MAX_STEERING_ANGLE = np.pi / 3
 LANE_END_M = 5.0
 VEHICLE_WIDTH_M = 2.0
-GAP_DIVISOR = 2 * float(np.sqrt(-COMFORT_ACC_MAX * COMFORT_ACC_MIN))
 HALF_PI, QUARTER_PI, TWO_PI = np.pi / 2, np.pi / 4, 2 * np.pi
 CLEAR = 1e-6
 """Distances differ by this much before a cheap test may stand for the exact one: far above any rounding, in m."""
@@ -119,6 +119,14 @@ class View(NamedTuple):
     end_x: float
     """Vehicles leave the road here, and at `scenario.LEFT_ROAD_M` in the other direction."""
     sight: float
+
+
+def set_manners(f: NDArray[np.float64], i: int, row: Any) -> None:
+    """Give car `i` of a scene's floats (FLOATS, V) a row of `Spawn.manners`."""
+    accel, brake, gap, time, length, *rest = row
+    f[CAR_LENGTH, i] = length
+    f[IDM_ACCEL, i], f[IDM_GAP, i], f[IDM_TIME, i], f[IDM_DIVISOR, i] = accel, gap, time, 2 * np.sqrt(accel * brake)
+    f[HARD_FROM : SWAY_PHASE + 1, i] = rest
 
 
 def new_calls() -> Calls:

@@ -8,9 +8,13 @@ from sim_node.engine.kernel.lanes import closest_lane
 from sim_node.engine.kernel.layout import (
     ABSENT,
     ACCEL,
+    AGE,
     ANGLE,
     CAR_LENGTH,
     CRASHED,
+    HARD_FROM,
+    HARD_MPS2,
+    HARD_TO,
     KIND,
     LANE,
     MAX_SPEED,
@@ -57,6 +61,8 @@ def step(calls: Any, roads: Any, scratch: Any, f: Any, g: Any, dt: float) -> Non
             continue
         speed = f[SPEED, i]
         if kind == TRAFFIC and not g[CRASHED, i]:
+            if f[HARD_FROM, i] <= f[AGE, i] < f[HARD_TO, i]:
+                f[ACCEL, i] = min(f[ACCEL, i], -f[HARD_MPS2, i])
             f[ACCEL, i] = max(f[ACCEL, i], -speed / dt)
             if speed < STEERS_MPS:
                 f[STEERING, i] = 0.0
@@ -103,4 +109,6 @@ def step(calls: Any, roads: Any, scratch: Any, f: Any, g: Any, dt: float) -> Non
         f[SPEED, i] += f[ACCEL, i] * dt
         if g[KIND, i] <= TRAFFIC:
             f[TIMER, i] += dt
+        if g[KIND, i] == TRAFFIC:
+            f[AGE, i] += dt
         g[LANE, i] = closest_lane(calls, roads, f[X, i], f[Y, i], f[ANGLE, i])

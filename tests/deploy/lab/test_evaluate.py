@@ -26,6 +26,7 @@ from fast_node.policies.load import load_policy
 from fast_node.policies.mlp import BASELINES, VARIANTS, load_mlp, shipped
 from fast_node.training.rollout import Driver, Fleet
 from schemas.driving.intent import ANY_LANE, unasked_lane
+from schemas.driving.road import VX, X
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import Directive, MetaAction
 from sim_node.config import SimConfig
