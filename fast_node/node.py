@@ -145,7 +145,8 @@ class FastNode:
             why=why,
             probabilities=probabilities,
             speed_cap_mps=cap if math.isfinite(cap) else None,
-            style=getattr(intent, "style", 1),
+            style=intent.style,
+            turn_signal=signal(observation, intent),
         ), events
 
     def _logits(
@@ -171,6 +172,14 @@ class FastNode:
                 rule[MetaAction.RIGHT] == OPEN,
             )
         )
+
+
+def signal(observation: Observation, intent: Intent) -> int:
+    """The turn signal: of the running change, or of the one that is intended."""
+    here, there = observation.previous_lane, observation.target_lane
+    if here < 0:
+        here, there = there, there if intent.lane == ANY_LANE else intent.lane
+    return (there > here) - (there < here)
 
 
 def softmax(logits: list[float]) -> tuple[float, ...]:

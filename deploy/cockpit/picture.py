@@ -260,6 +260,8 @@ class Picture:
             "p": [round(p, 3) for p in action.probabilities],
             "why": action.why,
             "goal": action.speed_goal_mps,
+            "cap": action.speed_cap_mps,
+            "signal": action.turn_signal,
             "answered_ms": None if self.answered_ms is None else round(self.answered_ms, 2),
             "budget_ms": round(action.budget_ns / 1e6, 1),
         }

@@ -72,8 +72,8 @@ def stopping_speed(gap: float, lead_mps: float, p: Preset) -> float:
 def aside_m(ego: Any, row: Any, lanes: Any) -> float:
     """Distance [m] between the ego and another car, side to side, now or where the other's motion sideways ends:
     whichever is less; negative where they overlap across the road."""
-    apart = min(abs(row[Y] - ego[Y]), abs(settles_at(row, lanes) - ego[Y]))
-    return apart - half_width(row) - half_width(ego)
+    apart: float = min(abs(row[Y] - ego[Y]), abs(settles_at(row, lanes) - ego[Y])) - half_width(row) - half_width(ego)
+    return apart
 
 
 def side_gap(ego: Any, row: Any, p: Preset) -> float:

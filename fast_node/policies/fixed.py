@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
 
 from schemas.driving.features import Array
-from schemas.driving.road import DECISION_TICKS
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 
@@ -36,16 +34,13 @@ class ConstantPolicy:
 
 
 class RandomPolicy:
-    """Draws its preferences once a second, and holds in between. The same seed gives the same actions."""
+    """Draws its preferences. The same seed gives the same actions."""
 
     def __init__(self, seed: int) -> None:
-        self._rng, self._calls = np.random.default_rng(seed), itertools.count()
-        self._hold = ConstantPolicy(MetaAction.CRUISE)
+        self._rng = np.random.default_rng(seed)
 
     def logits(self, x: Array) -> Array:
-        """See `Policy.logits`; counts its calls, of which there are 15 a second."""
-        if next(self._calls) % DECISION_TICKS:
-            return self._hold.logits(x)
+        """See `Policy.logits`."""
         return self._rng.random((*x.shape[:-2], POLICY_ACTIONS), np.float32)
 
 

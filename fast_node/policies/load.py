@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from fast_node.mask import PRESETS
+from fast_node.policies.ablated import BlindPolicy, DeafPolicy, untrained_of
 from fast_node.policies.attention import SHIPPED, load_attention, read_sidecar
 from fast_node.policies.fixed import constant_of, random_of
 from fast_node.policies.mlp import BASELINES, VARIANTS, load_mlp, shipped
@@ -22,7 +23,7 @@ OURS = "fastslow"
 def load_policy(spec: str = OURS) -> NamedPolicy:
     """The policy that `spec` names. Raises `ConfigError` that names the fix.
 
-    `spec`: a name of `BUILT_IN`, of which two take more ("constant:faster,left", "random:7"); the path of a checkpoint
+    `spec`: a name of `BUILT_IN`, some of which take more ("constant:faster,left", "random:7"); the path of a checkpoint
     that was trained here, ours or a baseline's; or "package.module:factory", a callable that returns a `Policy`.
     """
     name, colon, more = spec.partition(":")
@@ -55,8 +56,11 @@ BUILT_IN: dict[str, Callable[[str], NamedPolicy]] = {
     "rule": lambda _: NamedPolicy("rule", RulePolicy()),
     "constant": lambda words: NamedPolicy("constant", constant_of(words)),
     "random": lambda seed: NamedPolicy("random", random_of(seed), stateless=False),
+    "blind": lambda _: NamedPolicy("blind", BlindPolicy()),
+    "deaf": lambda _: NamedPolicy("deaf", DeafPolicy()),
+    "untrained": lambda seed: NamedPolicy("untrained", untrained_of(seed)),
     **{f"{a}-{v}": partial(_checkpoint, shipped(a, v)) for a in BASELINES for v in VARIANTS},
 }
 """What every installation has: what comes after the name's colon, to the policy."""
-TAKE_MORE = {"constant": "constant:ACTION[,ACTION...]", "random": "random:SEED"}
+TAKE_MORE = {"constant": "constant:ACTION[,ACTION...]", "random": "random:SEED", "untrained": "untrained:SEED"}
 """The names that take more after a colon, as messages show them."""

@@ -171,6 +171,8 @@ class Action(Message, frozen=True, kw_only=True, tag="action"):
     end and the intent admit. None: no cap."""
     style: int = 1
     """How the executor drives: 0 calm, 1 normal, 2 assertive."""
+    turn_signal: int = 0
+    """-1 left, 1 right: where the ego is changing to, or means to as soon as it can; 0: neither."""
 
 
 class Command(Message, frozen=True, kw_only=True, tag="command"):

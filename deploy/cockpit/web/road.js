@@ -535,6 +535,7 @@ export class Road {
 
 /** -1 while a change to the left is under way, 1 to the right, else 0. */
 export function turning(frame, lane) {
+  if (frame.action?.signal) return frame.action.signal;
   if (frame.previous_lane >= 0) return Math.sign(frame.target_lane - frame.previous_lane);
   return Math.sign(frame.target_lane - lane);
 }

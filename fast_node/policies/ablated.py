@@ -1,0 +1,52 @@
+"""The shipped policy with something taken away: what it sees, what it is told, what it has learnt. For comparison."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fast_node.policies.attention import SHIPPED, AttentionPolicy, load_attention, read_sidecar, read_weights
+from fast_node.policies.mlp import WISH
+from schemas.driving.features import Array
+from schemas.runtime.process import ConfigError
+
+
+class BlindPolicy:
+    """The shipped policy that sees the ego alone."""
+
+    def __init__(self) -> None:
+        self._policy = load_attention()
+
+    def logits(self, x: Array) -> Array:
+        """See `Policy.logits`."""
+        alone = np.zeros_like(x)
+        alone[..., 0, :] = x[..., 0, :]
+        return self._policy.logits(alone)
+
+
+class DeafPolicy:
+    """The shipped policy that is not told what is wished."""
+
+    def __init__(self) -> None:
+        self._policy = load_attention()
+
+    def logits(self, x: Array) -> Array:
+        """See `Policy.logits`."""
+        untold = x.copy()
+        untold[..., 0, WISH] = 0.0
+        return self._policy.logits(untold)
+
+
+def untrained_of(seed: str) -> AttentionPolicy:
+    """The shipped network before it has learnt anything: weights drawn as torch draws them, of the seed "0" or "7"; ""
+    is 0. Raises `ConfigError` for what is not a whole number from 0."""
+    if seed and not (seed.isascii() and seed.isdecimal()):
+        raise ConfigError(f"untrained:{seed}: give a whole number from 0 as the seed, as in untrained:0")
+    rng = np.random.default_rng(int(seed or 0))
+    drawn = {}
+    for name, array in sorted(read_weights(SHIPPED).items()):
+        if "norm" in name:
+            drawn[name] = np.ones_like(array) if name.endswith("weight") else np.zeros_like(array)
+        else:
+            bound = 1.0 / np.sqrt(array.shape[-1])
+            drawn[name] = rng.uniform(-bound, bound, array.shape).astype(np.float32)
+    return AttentionPolicy(drawn, read_sidecar(SHIPPED))
