@@ -172,10 +172,8 @@ def test_an_overtake_is_fulfilled_once_the_car_is_passed_and_the_ego_is_home(nod
 
 
 def test_a_wish_for_a_lane_alone_is_fulfilled_at_any_speed(node):
-    node.step(observation(0, LEAD), directive(manoeuvre="cruise", target_speed_mps=None, target_lane=1), 0)
-    _, events = node.step(
-        observation(1, LEAD, speed=3.0), directive(id=6, manoeuvre="cruise", target_speed_mps=None, target_lane=1), 0
-    )
+    told = directive(manoeuvre="cruise", target_speed_mps=None, target_lane=1)
+    _, events = node.step(observation(0, LEAD, speed=3.0), told, 0)
     assert [e.kind for e in events] == ["fulfilled"]
 
 
