@@ -355,7 +355,7 @@ def draw_wish(
 ) -> tuple[int, int, float, float]:
     """A random directive, as in training: (lane or `ANY_LANE`, id of the car to overtake or -1, speed, headway).
 
-    Half of the lane wishes leave the lane open, where there is more than one; where `wish_lanes` is empty an overtake 
+    Half of the lane wishes leave the lane open, where there is more than one; where `wish_lanes` is empty an overtake
     is wished, or to stay.
     """
     low, high = scenario.ego.speed_floor_mps, scenario.ego.speed_ceiling_mps
