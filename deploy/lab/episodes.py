@@ -185,7 +185,7 @@ def always(fleet: Fleet, action: MetaAction) -> Step:
 
     def step(tick: int) -> None:
         fleet.look()
-        fleet.world.tick(actions, fleet.v_des, fleet.cap_mps)
+        fleet.world.tick(actions, fleet.v_des, fleet.cap_mps, fleet.style)
 
     return step
 

@@ -18,7 +18,7 @@ from fast_node.choice import MASKED
 from fast_node.mask.vocabulary import AHEAD, FACING, LEFT, RIGHT
 from schemas.driving.actions import held
 from schemas.driving.features import FEATURES, N_ROWS, Array, policy_input
-from schemas.driving.intent import ANY_LANE, intended_lane, unasked_lane
+from schemas.driving.intent import ANY_LANE, NORMAL, STYLES, intended_lane, unasked_lane
 from schemas.driving.measures import TTC_CAP_S, ttc_s
 from schemas.driving.reward import reward, shortfall
 from schemas.driving.road import DECISION_TICKS, DT_S, HZ, ID, LANE, LANE_END, LANE_Y, NOBODY, VX, X, gap_between
@@ -200,7 +200,7 @@ class World(Protocol):
     ticks: Ints
     """(S,) of the episode so far."""
 
-    def tick(self, meta: Ints, speed_goal: Floats, speed_cap: Floats, /) -> None: ...
+    def tick(self, meta: Ints, speed_goal: Floats, speed_cap: Floats, style: Ints, /) -> None: ...
 
     def reset(self, mask: Bools) -> None: ...
 
@@ -255,6 +255,7 @@ class Fleet:
         self.wish = np.full(s, ANY_LANE)
         self.left = np.zeros((s, 2), np.int64)
         self.cap_mps = np.full(s, np.inf)
+        self.style = np.full(s, NORMAL)
         self.ttc_s, self.short = np.full(s, TTC_CAP_S), np.zeros(s)
 
     def look(self) -> None:
@@ -363,6 +364,7 @@ class Scenes(Fleet):
 
     def _direct(self, which: Bools) -> None:
         for s in np.flatnonzero(which):
+            self.style[s] = self._rng.integers(len(STYLES))
             self.told_lane[s], self.pass_id[s], self.v_des[s], self.headway[s] = self.task.draw(
                 self._rng, self.world.rows[s], int(self.world.target_lane[s])
             )
@@ -386,7 +388,7 @@ class Scenes(Fleet):
             _choose(logits, self.rule, since, self._holding, self._meta, self._by)
             braked |= self._meta == MetaAction.EMERGENCY_BRAKE
             before = w.accel.copy()
-            w.tick(self._meta, self.v_des, self.cap_mps)
+            w.tick(self._meta, self.v_des, self.cap_mps, self.style)
             effort += w.accel**2
             jolt += ((w.accel - before) * HZ) ** 2
             self.look()
@@ -479,4 +481,4 @@ class Driver:
         f.look()
         _choose(self._logits(f.observe()), f.rule, self._age, self._holding, self.meta, self.by)
         self.overridden = self.by == MASKED
-        w.tick(self.meta, f.v_des, f.cap_mps)
+        w.tick(self.meta, f.v_des, f.cap_mps, f.style)
