@@ -12,7 +12,7 @@ from fast_node.mask.lane_end import speed_before
 from fast_node.mask.vocabulary import AHEAD, BRAKE, CRUISE, LEFT, NOT_WISHED, OPEN, RIGHT, SLOW_DOWN, SPEED_UP
 from schemas.driving.intent import ends_soon
 from schemas.driving.measures import SPEED_STEP_MPS
-from schemas.driving.road import LANE, LANE_END, LANE_OPENS, LANE_WAY, VX, X, gap_between, lane_ends
+from schemas.driving.road import DT_S, LANE, LANE_END, LANE_OPENS, LANE_WAY, VX, X, gap_between, lane_ends
 from schemas.wire.messages import POLICY_ACTIONS
 
 SOURCES = ("policy", "policy", "masked", "coordination")
@@ -30,12 +30,12 @@ MUST_S = 5.0
 STANDSTILL_M = 2.5
 FOLLOW_GAIN_PER_S = 0.25
 """How much slower than its leader, or faster, the ego is for each metre that the gap is off: near the wished gap."""
-APPROACH_MPS2 = 1.5
-"""What closing in on a leader is braked with: far from the wished gap."""
+APPROACH_MPS2 = (1.0, 1.5, 2.2)
+"""By style: what closing in on a leader is braked with, far from the wished gap."""
 DROP_BACK_MPS = 2.5
 """How much slower than a leader the ego drives to regain the wished headway, at most."""
-COMFORT_BRAKE_MPS2, COMFORT_JERK_MPS3 = 2.0, 1.5
-"""Comfort asks for no harder braking, and not sooner; the mask's cap does."""
+COMFORT_BRAKE_MPS2, COMFORT_JERK_MPS3 = (1.5, 2.0, 3.0), (1.0, 1.5, 2.5)
+"""By style: comfort asks for no harder braking, and not sooner; the mask's cap does."""
 
 
 def hold_off(left_lane: int, ticks: int, target_lane: int, previous_lane: int) -> tuple[int, int]:
@@ -50,29 +50,30 @@ def hold_off(left_lane: int, ticks: int, target_lane: int, previous_lane: int) -
 
 
 def comfortable_mps(
-    rows: Any, near: Any, lanes: Any, target_lane: int, accel: float, speed_mps: float, headway_s: float
+    rows: Any, near: Any, lanes: Any, target_lane: int, accel: float, speed_mps: float, headway_s: float, style: int
 ) -> float:
-    """The speed [m/s] that the intent (speed_mps, headway_s) comes down to now: behind a leader, on a ramp, and reached
-    without hard braking. accel: the ego's last acceleration [m/s2]."""
+    """The speed [m/s] that the intent (speed_mps, headway_s, style) comes down to now: behind a leader, on a ramp, and
+    reached without hard braking. accel: the ego's last acceleration [m/s2]."""
     ego = rows[0]
     wished = speed_mps
     lead = int(near[3 * target_lane + AHEAD])
     if lead >= 0 and int(rows[lead][LANE]) == target_lane:
         lead_mps = max(rows[lead][VX], 0.0)
         spare = gap_between(ego, rows[lead]) - STANDSTILL_M - headway_s * lead_mps
-        wished = min(wished, lead_mps + closing_mps(spare))
+        wished = min(wished, lead_mps + closing_mps(spare, APPROACH_MPS2[style]))
     if lane_ends(lanes, target_lane):  # whoever comes fast to where it opens only has to brake there
         wished = min(wished, speed_before(lanes, target_lane, max(ego[X], lanes[target_lane][LANE_OPENS])))
     v = float(ego[VX])
-    return max(wished, v - COMFORT_BRAKE_MPS2, v + min(accel, 0.0) - COMFORT_JERK_MPS3 / 15.0)
+    return max(wished, v - COMFORT_BRAKE_MPS2[style], v + min(accel, 0.0) - COMFORT_JERK_MPS3[style] * DT_S)
 
 
-def closing_mps(spare: float) -> float:
-    """How much faster than its leader [m/s] the ego may be, `spare` metres before it is as near as wished."""
+def closing_mps(spare: float, brake: float) -> float:
+    """How much faster than its leader [m/s] the ego may be, `spare` metres before it is as near as wished, if it is to
+    brake with `brake` [m/s2] at most."""
     if spare <= 0.0:
         return max(FOLLOW_GAIN_PER_S * spare, -DROP_BACK_MPS)
-    soft = APPROACH_MPS2 / FOLLOW_GAIN_PER_S
-    return math.sqrt(2.0 * APPROACH_MPS2 * spare + soft * soft) - soft
+    soft = brake / FOLLOW_GAIN_PER_S
+    return math.sqrt(2.0 * brake * spare + soft * soft) - soft
 
 
 def narrow(

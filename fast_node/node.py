@@ -90,6 +90,7 @@ class FastNode:
                 observation.acceleration_mps2,
                 intent.speed_mps,
                 intent.headway_s,
+                intent.style,
             ),
         )
         self._left = hold_off(*self._left, observation.target_lane, observation.previous_lane)

@@ -44,6 +44,7 @@ def _look_all(
     pass_id: Any,
     v_des: Any,
     headway: Any,
+    style: Any,
     masked: bool,
     obeyed: bool,
     near: Any,
@@ -77,7 +78,9 @@ def _look_all(
             )
         cap[s] = safe
         if obeyed:
-            wished = choice.comfortable_mps(rows[s], near[s], lanes[s], target_lane[s], accel[s], v_des[s], headway[s])
+            wished = choice.comfortable_mps(
+                rows[s], near[s], lanes[s], target_lane[s], accel[s], v_des[s], headway[s], style[s]
+            )
             cap[s] = min(safe, wished)
             choice.narrow(
                 rule[s],
@@ -291,6 +294,7 @@ class Fleet:
             self.pass_id,
             self.v_des,
             self.headway,
+            self.style,
             self.masked,
             self._obeyed,
             self._near,
