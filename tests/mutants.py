@@ -61,8 +61,13 @@ PARTS = {
     "codec": Part("schemas/wire/codec.py", ("tests/schemas/wire/test_codec.py", "tests/schemas/wire/test_contract.py")),
     "coordination": Part(
         "fast_node/coordination.py",
-        ("tests/fast_node/test_coordination.py", "tests/fast_node/test_coordination_reports.py"),
+        (
+            "tests/fast_node/test_coordination.py",
+            "tests/fast_node/test_coordination_reports.py",
+            "tests/fast_node/test_wishes.py",
+        ),
     ),
+    "wishes": Part("fast_node/wishes.py", ("tests/fast_node/test_wishes.py", "tests/fast_node/test_coordination.py")),
     "choice": Part("fast_node/choice.py", ("tests/fast_node/test_choice.py",), digest=True),
     "mask": Part(
         "fast_node/mask/[!_]*.py",

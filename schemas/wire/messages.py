@@ -199,7 +199,7 @@ class Directive(Message, frozen=True, kw_only=True, tag="directive"):
     headway_s: float | None = None
     style: Style = "normal"
     ttl_s: float = 30.0
-    """Time to live, counted from `stamp_ns`."""
+    """Time to live, counted from `stamp_ns`: how long it may be pending. What it wishes for stands beyond that."""
     confidence: float = 1.0
     reasoning: str = ""
     say: str = ""

@@ -448,3 +448,90 @@ def test_the_way_home_is_fulfilled_at_home_without_a_car_to_pass(follower):
 def test_an_overtake_without_a_speed_leaves_the_limit_to_be_driven(follower):
     follower.at(observation(0, LEAD), wish(1, manoeuvre="overtake", ttl_s=1.0))
     assert follower.at(observation(20, LEAD))[:2] == (1, TWO_WAY[1].speed_limit_mps)
+
+
+# Limits.
+
+
+@pytest.mark.parametrize(("asked", "speed"), [(0.49, 0.0), (0.5, 0.5), (1.0, 1.0)])
+def test_less_than_half_a_metre_per_second_is_standing(follower, asked, speed):
+    assert follower.at(observation(0), wish(1, target_speed_mps=asked)).speed == speed
+
+
+def test_a_slow_speed_is_gone_on_with(follower):
+    follower.at(observation(0), wish(1, target_speed_mps=0.5))
+    assert follower.at(observation(1), wish(2, target_lane=1)).speed == 0.5
+
+
+def test_a_car_beside_the_ego_that_is_gone_was_not_passed(follower):
+    other = car(2, 540, 1, 4)
+    follower.at(observation(0, LEAD, other), OVERTAKE)
+    follower.at(observation(1, car(1, 500, 1, 4), other, lane=0))
+    follower.at(observation(16, other))
+    assert follower.at(observation(17, other)) == (0, 8.0, DEFAULT_HEADWAY_S, [])
+
+
+def test_whose_car_is_gone_on_the_way_home_looks_for_no_other(follower):
+    other, home = car(2, 540, 1, 4), {"manoeuvre": "overtake", "target_lane": 1}
+    follower.at(observation(0, LEAD, other), OVERTAKE)
+    follower.at(observation(1, LEAD, other, lane=0), directive(id=6, **home))
+    assert follower.at(observation(16, other, speed=8.0)).kinds == [FULFILLED]
+
+
+def test_at_speed_the_lane_to_pass_in_is_taken_from_five_seconds_away(follower):
+    overtake = wish(1, manoeuvre="overtake", target_lane=0)
+    near, nearest = car(1, 620, 1, 4), car(2, 490, 2, 5)
+    assert follower.at(observation(0, nearest, near, **ROAD, speed=24.0), overtake).lane == 0
+    assert Follower().at(observation(0, nearest, near, **ROAD, speed=23.0), overtake).lane == ANY_LANE
+
+
+def test_other_cars_far_ahead_do_not_make_the_one_to_pass_far(follower):
+    overtake = wish(1, manoeuvre="overtake", target_lane=0)
+    assert follower.at(observation(0, LEAD, car(2, 640, 2, 5), **ROAD), overtake).lane == 0
+
+
+def test_an_overtake_in_another_lane_that_was_planned_before_its_car_was_passed_is_no_new_one(follower):
+    follower.at(observation(0, LEAD, **ROAD), wish(1, manoeuvre="overtake", target_lane=0))
+    follower.at(observation(9, PASSED, **ROAD))
+    again = directive(id=2, command_id=1, manoeuvre="overtake", target_lane=2, scene_tick=9)
+    assert follower.at(observation(10, LEAD, **ROAD), again).lane == ANY_LANE
+
+
+def test_a_lane_that_ends_soon_is_not_moved_over_to(follower):
+    road: dict[str, Any] = {"lanes": (lane(0, end_m=540.0), lane(1), lane(2)), "lane": 1}
+    far = car(2, 900, 2, 0)
+    assert follower.at(observation(0, far, LEAD, **road), wish(1, manoeuvre="overtake", target_lane=0)).lane == ANY_LANE
+
+
+def test_an_overtake_with_a_gap_drives_to_none(follower):
+    overtake = wish(1, manoeuvre="overtake", headway_s=3.0, target_speed_mps=5.0)
+    assert follower.at(observation(0, car(1, 507, 1, 3), **ROAD), overtake) == (ANY_LANE, 5.0, 3.0, [])
+    assert follower.at(observation(1, car(1, 480, 1, 3), **ROAD)).kinds == [FULFILLED]
+    assert follower.events[-1].detail == ""
+
+
+def test_a_stop_drives_to_no_gap(follower):
+    assert follower.at(observation(0, car(1, 507, 1, 3)), wish(1, manoeuvre="stop", headway_s=3.0))[:2] == (1, 0.0)
+    assert follower.at(observation(1, car(1, 507, 1, 0), speed=0.4)).kinds == [FULFILLED]
+
+
+def test_a_gap_that_was_right_from_the_start_leaves_the_speed_as_it_was(follower):
+    assert at_gap(follower, 0, CLOSER, 22.0, lead_mps=24.0).kinds == [FULFILLED]
+    assert at_gap(follower, 1, None, 22.0, lead_mps=24.0).speed == 22
+
+
+def test_a_car_that_drives_as_fast_as_the_named_speed_is_nobody(follower):
+    both = wish(1, headway_s=1.0, target_speed_mps=20.0)
+    assert at_gap(follower, 0, both, 60.0, lead_mps=19.6).kinds == [FULFILLED]
+    assert at_gap(Follower(), 0, both, 60.0, lead_mps=19.4).kinds == []
+
+
+def test_the_style_of_a_stop_is_not_that_of_what_came_before(follower):
+    follower.at(observation(0), wish(1, target_speed_mps=4.0, style="calm"))
+    follower.at(observation(1), wish(2, target_speed_mps=0.0, style="assertive"))
+    assert follower.style == CALM
+
+
+def test_while_the_ego_changes_lanes_it_has_not_moved_over_yet(follower):
+    overtake = wish(1, manoeuvre="overtake", target_lane=1)
+    assert follower.at(observation(0, car(1, 514, 1, 4), lanes=HIGHWAY, lane=1, previous_lane=0), overtake).lane == 1
