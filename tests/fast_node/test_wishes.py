@@ -84,7 +84,7 @@ def test_a_lane_wished_before_a_stop_is_not_gone_back_to_after_it(follower):
     assert follower.at(observation(2, **LEFT_NOW), wish(3, headway_s=2.0)).lane == ANY_LANE
 
 
-@pytest.mark.parametrize(("end_m", "kept"), [(550.1, 1), (549.9, 0)])
+@pytest.mark.parametrize(("end_m", "kept"), [(550.0, 1), (549.9, 0)])
 def test_a_lane_is_wished_no_more_once_it_ends_within_ten_seconds(follower, end_m, kept):
     road: dict[str, Any] = {"lanes": (lane(0), lane(1, end_m=end_m)), "lane": 1}
     follower.at(observation(0, lanes=(lane(0), lane(1)), lane=1), wish(1, target_lane=1))
@@ -109,6 +109,11 @@ def test_a_directive_replaces_only_what_it_names(follower):
     assert follower.at(observation(1, **ROAD), wish(2, target_lane=1))[:3] == (1, 20.0, 3.0)
     assert follower.at(observation(2, **ROAD), wish(3, headway_s=1.2))[:3] == (1, 20.0, 1.2)
     assert follower.at(observation(3, **ROAD), wish(4, target_speed_mps=10.0))[:3] == (ANY_LANE, 10.0, 1.2)
+
+
+def test_a_gap_of_nothing_is_none(follower):
+    follower.at(observation(0, **ROAD), wish(1, headway_s=3.0))
+    assert follower.at(observation(1, **ROAD), wish(2, headway_s=0.0, target_lane=1)).headway == 3.0
 
 
 def test_a_gap_and_a_speed_outlive_their_directive(follower):
@@ -478,6 +483,18 @@ def test_whose_car_is_gone_on_the_way_home_looks_for_no_other(follower):
     assert follower.at(observation(16, other, speed=8.0)).kinds == [FULFILLED]
 
 
+def test_the_way_home_is_taken_before_the_car_is_passed_if_it_is_asked_for(follower):
+    follower.at(observation(0, LEAD), OVERTAKE)
+    home = directive(id=6, manoeuvre="overtake", target_lane=1)
+    assert follower.at(observation(1, LEAD, lane=0), home).lane == 1
+
+
+def test_what_expires_has_no_detail(follower):
+    follower.at(observation(0, **ROAD), wish(1, target_lane=0, ttl_s=1.0))
+    follower.at(observation(20, **ROAD))
+    assert [(e.kind, e.detail) for e in follower.events] == [(EXPIRED, "")]
+
+
 def test_at_speed_the_lane_to_pass_in_is_taken_from_five_seconds_away(follower):
     overtake = wish(1, manoeuvre="overtake", target_lane=0)
     near, nearest = car(1, 620, 1, 4), car(2, 490, 2, 5)
@@ -499,8 +516,9 @@ def test_an_overtake_in_another_lane_that_was_planned_before_its_car_was_passed_
 
 def test_a_lane_that_ends_soon_is_not_moved_over_to(follower):
     road: dict[str, Any] = {"lanes": (lane(0, end_m=540.0), lane(1), lane(2)), "lane": 1}
-    far = car(2, 900, 2, 0)
-    assert follower.at(observation(0, far, LEAD, **road), wish(1, manoeuvre="overtake", target_lane=0)).lane == ANY_LANE
+    standing = car(2, 100, 2, 0)
+    overtake = wish(1, manoeuvre="overtake", target_lane=0)
+    assert follower.at(observation(0, standing, LEAD, **road), overtake).lane == ANY_LANE
 
 
 def test_an_overtake_with_a_gap_drives_to_none(follower):
