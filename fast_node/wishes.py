@@ -48,7 +48,8 @@ class Standing:
         lane, speed, headway = directive.target_lane, directive.target_speed_mps, directive.headway_s
         speed = None if speed is None or math.isnan(speed) else speed
         headway = headway if headway is not None and 0.0 < headway < math.inf else None
-        self.headway_s = headway or self.headway_s
+        if headway is not None:
+            self.headway_s = headway
         if directive.manoeuvre == "stop" or (speed is not None and speed < STANDING_MPS):
             self.stopped, self.lane = True, None
             return

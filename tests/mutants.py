@@ -65,9 +65,17 @@ PARTS = {
             "tests/fast_node/test_coordination.py",
             "tests/fast_node/test_coordination_reports.py",
             "tests/fast_node/test_wishes.py",
+            "tests/fast_node/test_wishes_pursued.py",
         ),
     ),
-    "wishes": Part("fast_node/wishes.py", ("tests/fast_node/test_wishes.py", "tests/fast_node/test_coordination.py")),
+    "wishes": Part(
+        "fast_node/wishes.py",
+        (
+            "tests/fast_node/test_wishes.py",
+            "tests/fast_node/test_wishes_pursued.py",
+            "tests/fast_node/test_coordination.py",
+        ),
+    ),
     "choice": Part("fast_node/choice.py", ("tests/fast_node/test_choice.py",), digest=True),
     "mask": Part(
         "fast_node/mask/[!_]*.py",
