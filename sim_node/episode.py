@@ -117,6 +117,7 @@ def earned(
             0.5 * ego.scenario.ego.speed_ceiling_mps,
             one(accel_square),
             one(jerk_square),
+            one(action != MetaAction.CRUISE),
             one(action >= MetaAction.LEFT),
             one(wish.lane in (ANY_LANE, ego.target_lane)),
             one(ttc),

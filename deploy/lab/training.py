@@ -32,8 +32,10 @@ class HurriedScenes(Scenes):
     def _direct(self, which: NDArray[np.bool_]) -> None:
         super()._direct(which & (self.age == 0))
 
-    def decide(self, action: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_]]:
-        result = super().decide(action)
+    def decide(
+        self, action: NDArray[np.int64], *, redirect: bool = True
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_]]:
+        result = super().decide(action, redirect=redirect)
         if (self.pass_id >= 0).any():
             overtake_on(self)
             self.look()

@@ -116,6 +116,7 @@ def _reward(before: Observation, after: Observation, action: Action) -> float:
             0.5 * limit,
             one(after.acceleration_mps2**2),
             one(((after.acceleration_mps2 - before.acceleration_mps2) * after.hz) ** 2),
+            one(meta != MetaAction.CRUISE),
             one(meta in (MetaAction.LEFT, MetaAction.RIGHT)),
             one(True),
             one(ttc),

@@ -207,6 +207,8 @@ class World(Protocol):
 
     def reset(self, mask: Bools) -> None: ...
 
+    def copy(self, other: Any, scenes: Ints) -> None: ...
+
 
 @dataclass(frozen=True)
 class Task:
@@ -373,12 +375,24 @@ class Scenes(Fleet):
                 self._rng, self.world.rows[s], int(self.world.target_lane[s])
             )
 
+    def become(self, other: Scenes, which: Ints) -> None:
+        """Go on from where scenes `which` (S,) of another of the same task are: to try what may come of them."""
+        self.world.copy(other.world, which)
+        for name in (
+            "_rows", "_noise", "_ticks", "left", "told_lane", "pass_id", "v_des", "headway", "style", "age", "returns",
+            "_holding", "rule", "vehicle", "wish", "cap_mps", "ttc_s", "short", "_near", "lanes",
+        ):  # fmt: skip
+            getattr(self, name)[:] = getattr(other, name)[which]
+
     def open(self) -> Bools:
         """(S, 5) the actions that the mask leaves open."""
         return np.asarray(self.rule[:, :POLICY_ACTIONS] == mask.OPEN)
 
-    def decide(self, action: Ints) -> tuple[NDArray[np.float32], Bools, Bools]:
-        """One decision: the action first, then held unless the mask closes that: reward, terminated, truncated."""
+    def decide(self, action: Ints, *, redirect: bool = True) -> tuple[NDArray[np.float32], Bools, Bools]:
+        """One decision: the action first, then held unless the mask closes that: reward, terminated, truncated.
+
+        redirect: now and then another directive follows.
+        """
         w = self.world
         s = len(action)
         braked, effort, short, ttc = np.zeros(s, np.bool_), np.zeros(s), np.zeros(s), np.full(s, TTC_CAP_S)
@@ -411,6 +425,7 @@ class Scenes(Fleet):
             self.task.speed_range,
             effort / self._decision_ticks,
             jolt / self._decision_ticks,
+            action != MetaAction.CRUISE,
             action >= MetaAction.LEFT,
             (self.wish == ANY_LANE) | (w.target_lane == self.wish),
             ttc,
@@ -423,7 +438,7 @@ class Scenes(Fleet):
         terminated = w.crashed.copy()
         # The goal and the road's end cut an episode off: what would come after is worth what the value says.
         truncated = ((self.age * self._decision_ticks >= self.task.duration_ticks) | over) & ~terminated
-        again = (self._rng.random(s) < 0.03 * seconds) & ~terminated & ~truncated
+        again = redirect & (self._rng.random(s) < 0.03 * seconds) & ~terminated & ~truncated
         if again.any():
             self._direct(again)
             self.look()

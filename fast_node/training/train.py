@@ -105,9 +105,7 @@ def train(
         "learner": asdict(config),
         "rollout": ROLLOUT,
         "lr_schedule": {"shape": "linear", "end": LR_END},
-        "mask_preset": scenes.parts[0].task.preset,
-        "mask": MASK_VERSION,
-        "layout_hash": LAYOUT_HASH,
+        **sidecar_of(scenes.parts[0].task.preset),
     }
     done, resumed_at = 0, list[int]()
     if start is not None:
@@ -247,6 +245,11 @@ def conditions(scenes: Mixed) -> dict[str, Any]:
             name.lower(): value for name, value in vars(rewards).items() if name.isupper() and isinstance(value, float)
         },
     }
+
+
+def sidecar_of(preset: str) -> dict[str, Any]:
+    """What a policy's sidecar says of the code that it was made for."""
+    return {"mask_preset": preset, "mask": MASK_VERSION, "layout_hash": LAYOUT_HASH}
 
 
 def export(net: ActorCritic, out: Path, sidecar: dict[str, object], observations: int = 1000) -> None:

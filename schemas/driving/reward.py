@@ -9,20 +9,22 @@ SCALE = 0.1
 """Returns near 1: unscaled rewards with a joint gradient clip make baselines straw men."""
 CRASH = -10.0
 BRAKE = -0.3
-NEAR = -0.5
+NEAR = -1.5
 """For coming within `NEAR_S` of a collision, rising as the smallest time to collision falls to 0."""
-NEAR_S = 10.0
+NEAR_S = 8.0
 SHORT = -0.3
 """For keeping less than the wished headway to the leader, rising as the gap falls to `STANDSTILL_M` and below."""
 STANDSTILL_M = 2.0
 COMFORT = -0.15
 """Per (m/s2)^2 of mean squared acceleration."""
-JERK = -0.02
+JERK = -0.05
 """Per (m/s3)^2 of mean squared jerk."""
 CHANGE = -0.1
 """For a lane change, or giving one up."""
-LANE = 0.3
-MISSED = -3.0
+ACT = -0.01
+"""For any action but CRUISE: the set-point is not to flutter."""
+LANE = 0.5
+MISSED = -8.0
 """For driving past the place that had to be reached, in a lane that does not lead there."""
 OVERSPEED = 1.5
 """Too fast counts this much more than too slow."""
@@ -37,6 +39,7 @@ def reward(
     speed_range: float,
     accel_square: Floats,
     jerk_square: Floats,
+    acted: Bools,
     changes: Bools,
     in_wished_lane: Bools,
     ttc_s: Floats,
@@ -49,9 +52,9 @@ def reward(
     """(S,) reward of one decision that lasted `seconds`; what happens once (an action, a brake, a crash) counts whole.
 
     speed: mean over the decision [m/s]; v_des [m/s]; speed_range: what the efficiency term divides by [m/s];
-    accel_square: mean of a^2 [(m/s2)^2]; jerk_square: of its change [(m/s3)^2]; changes: LEFT or RIGHT;
-    in_wished_lane: aims for it, or none is wished; ttc_s: the smallest time to collision meanwhile; short: mean of
-    `shortfall`; braked: the mask braked at some tick; missed: the goal was driven past.
+    accel_square: mean of a^2 [(m/s2)^2]; jerk_square: of its change [(m/s3)^2]; acted: any action but CRUISE; changes:
+    LEFT or RIGHT; in_wished_lane: aims for it, or none is wished; ttc_s: the smallest time to collision meanwhile;
+    short: mean of `shortfall`; braked: the mask braked at some tick; missed: the goal was driven past.
     """
     slow = np.abs(speed - v_des) / speed_range * np.where(speed > v_des, OVERSPEED, 1.0)
     running = (
@@ -63,7 +66,7 @@ def reward(
         + NEAR * np.clip(1.0 - ttc_s / NEAR_S, 0.0, 1.0)
         + SHORT * short
     )
-    total = seconds * running + CHANGE * changes + BRAKE * braked + CRASH * crashed + MISSED * missed
+    total = seconds * running + ACT * acted + CHANGE * changes + BRAKE * braked + CRASH * crashed + MISSED * missed
     return np.asarray(SCALE * total, np.float32)
 
 

@@ -161,6 +161,13 @@ class Batched:
             np.ascontiguousarray(meta, np.int64),
         )
 
+    def copy(self, other: Batched, scenes: Ints) -> None:
+        """Become `scenes` (S,) of another of the same scenario, one after the other: to try what may come of them."""
+        self._f[:], self._g[:] = other._f[scenes], other._g[scenes]
+        for name in layout.EGO_STATE:
+            getattr(self._ego, name)[:] = getattr(other._ego, name)[scenes]
+        self.rows[:], self.lane_y[:] = other.rows[scenes], other.lane_y[scenes]
+
     def keep_going(self) -> None:
         """From now on crashed scenes go on, as upstream's do."""
         self._ego = self._ego._replace(freezes=False)

@@ -186,6 +186,7 @@ def earned(
             one(accel2),
             one(0.0),
             one(acted),
+            one(False),
             one(in_lane),
             one(ttc_s),
             one(short),

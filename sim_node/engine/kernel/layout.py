@@ -105,6 +105,21 @@ class Ego(NamedTuple):
     """A scene whose ego has crashed stands still."""
 
 
+EGO_STATE = (
+    "meta",
+    "speed_goal",
+    "speed_cap",
+    "style",
+    "target_speed",
+    "target_lane",
+    "previous_lane",
+    "accel",
+    "crashed",
+    "ticks",
+)
+"""What of `Ego` a scene has of its own."""
+
+
 class View(NamedTuple):
     """What is published of every scene after a tick; nothing if `rows` has no scenes."""
 
