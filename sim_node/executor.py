@@ -25,6 +25,8 @@ SPEED_GAIN_PER_S = 1.0
 STYLE_ACCEL_MPS2 = (1.2, 1.8, 2.5)
 STYLE_JERK_UP_MPS3 = (1.0, 2.0, 3.0)
 """How a calm, a normal and an assertive ride speed up."""
+EASE_JERK_MPS3 = 2.0
+"""No style lets a brake go more slowly than this, or it would brake to well below the speed that is asked for."""
 JERK_DOWN_MPS3 = 4.0
 COMFORT_BRAKE_MPS2 = 3.0
 BRAKE_RELEASE_JERK_MPS3 = 12.0
@@ -104,6 +106,8 @@ def acceleration_command(
         accel = -EGO_BRAKE_MAX_MPS2
     else:
         jerk = STYLE_JERK_UP_MPS3[style]
+        if last_accel < 0.0:
+            jerk = max(jerk, EASE_JERK_MPS3)
         up = last_accel + jerk * dt
         if last_accel < -COMFORT_BRAKE_MPS2:
             up = min(last_accel + BRAKE_RELEASE_JERK_MPS3 * dt, -COMFORT_BRAKE_MPS2 + jerk * dt)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from fast_node.choice import choose, narrow
+from fast_node.choice import choose, comfortable_mps, narrow
 from fast_node.mask import PRESETS, Preset, close_actions
 from schemas.driving.road import LANE_LIMIT, LANE_WAY, LANE_Y, X, lane_table
 from tests import scenes
@@ -36,7 +37,11 @@ class Scene(NamedTuple):
     intent: tuple[int, float, float]
     """Lane, speed, headway."""
     logits: list[float]
-    holding: bool
+    due: bool
+    held: int
+    """What the last decision asks for meanwhile."""
+    left_lane: int
+    accel: float
 
 
 def draw(count: int = N_SCENES, seed: int = 7) -> Iterator[Scene]:
@@ -94,8 +99,19 @@ def draw(count: int = N_SCENES, seed: int = 7) -> Iterator[Scene]:
         rows = np.array(rows, np.float32).tolist()  # as they come over the bus
         target = speed if rng.random() < 0.5 else top * between(0.0, 1.2)
         intent = (one_of(len(lanes) + 1) - 1, top * between(0.0, 1.1), between(0.5, 3.0))
+        left_lane = aim + one_of(3) - 1 if rng.random() < 0.3 else -1
         yield Scene(
-            lanes, rows, target, aim, previous, intent, [between(-1.0, 1.0) for _ in range(5)], rng.random() < 0.5
+            lanes,
+            rows,
+            target,
+            aim,
+            previous,
+            intent,
+            [between(-1.0, 1.0) for _ in range(5)],
+            rng.random() < 0.5,
+            one_of(3),
+            left_lane if 0 <= left_lane < len(lanes) else -1,
+            between(-4.0, 2.0),
         )
 
 
@@ -105,15 +121,32 @@ def nearest_lane(lanes: list[tuple[float, ...]], y: float) -> int:
 
 
 def judged(scene: Scene, preset: Preset) -> tuple[int, ...]:
-    """What mask and choice make of a scene: the rule and the vehicle of each action, the same with the intent's rules,
-    the meta-action and who settled it."""
+    """What mask and choice make of a scene: the speed caps in mm/s, without and with the intent's (-1: none), the rule
+    and the vehicle of each action, the same with the intent's rules, the meta-action and who settled it."""
     rule, vehicle, near = [0] * 6, [-1] * 6, [0] * (3 * len(scene.lanes))
-    opened = close_actions(
-        scene.rows, scene.lanes, scene.target_speed, scene.lane, scene.previous, SIGHT_M, near, rule, vehicle, preset
+    rows, lanes, lane = scene.rows, scene.lanes, scene.lane
+    admitted = close_actions(
+        rows, lanes, scene.target_speed, lane, scene.previous, SIGHT_M, near, rule, vehicle, preset
     )
     safe = list(rule)
-    narrow(rule, scene.rows, near, scene.lanes, scene.target_speed, scene.lane, scene.previous, *scene.intent)
-    return (opened, *safe, *vehicle, *rule, *choose(scene.logits, rule, scene.holding))
+    wished_lane, speed, headway = scene.intent
+    cap = min(admitted, comfortable_mps(rows, near, lanes, lane, scene.accel, speed, headway))
+    narrow(
+        rule,
+        rows,
+        near,
+        lanes,
+        scene.target_speed,
+        lane,
+        scene.previous,
+        scene.left_lane,
+        wished_lane,
+        speed,
+        headway,
+        cap,
+    )
+    caps = [round(1000 * c) if math.isfinite(c) else -1 for c in (admitted, cap)]
+    return (*caps, *safe, *vehicle, *rule, *choose(scene.logits, rule, scene.due, scene.held))
 
 
 def digest(count: int = N_SCENES) -> str:

@@ -78,7 +78,7 @@ def entry(s: Situation, aim: int) -> tuple[int, int]:
 
     With a change under way, `aim` is the lane that it leaves: whether it may be given up.
     """
-    ego, p, lanes = s.rows[0], s.preset, s.lanes
+    ego, lanes = s.rows[0], s.lanes
     x, v = ego[X], ego[VX]
     if s.previous >= 0:
         if int(ego[LANE]) == aim:  # it has not left yet
@@ -92,7 +92,18 @@ def entry(s: Situation, aim: int) -> tuple[int, int]:
             or lanes[aim][LANE_RAMP] > 0.0
         ):
             return NO_LANE, -1
-    ahead, behind, facing = s.near[3 * aim + AHEAD], s.near[3 * aim + BEHIND], s.near[3 * aim + FACING]
+    reason, who = room(s, aim)
+    facing = s.near[3 * aim + FACING]
+    if reason == OPEN and facing >= 0:  # a car passing head-on in our own lane
+        return ONCOMING, facing
+    return reason, who
+
+
+def room(s: Situation, aim: int) -> tuple[int, int]:
+    """Whether the cars ahead and behind in lane `aim` leave room to come in: (reason, row index), `OPEN` if so."""
+    ego, p = s.rows[0], s.preset
+    x, v = ego[X], ego[VX]
+    ahead, behind = s.near[3 * aim + AHEAD], s.near[3 * aim + BEHIND]
     if ahead >= 0:
         other = s.rows[ahead]
         slowest = max(other[VX] - doubt(other, DOUBT_VX), 0.0)
@@ -106,6 +117,4 @@ def entry(s: Situation, aim: int) -> tuple[int, int]:
         need = max(need, follower_gap(fastest, v, True, p) + doubt(other, DOUBT_X))
         if gap_m(other[X], x, other[LENGTH], ego[LENGTH]) < need:
             return REAR_GAP, behind
-    if facing >= 0:  # a car passing head-on in our own lane
-        return ONCOMING, facing
     return OPEN, -1

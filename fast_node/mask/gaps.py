@@ -3,7 +3,8 @@
 RSS safe distances (Shalev-Shwartz et al. 2017): along the road Definition 1, sideways Definition 6. As in RSS a car is
 in the way where it is too close both along the road and sideways. Assumed: the ego brakes with `ego_brake` after
 `reaction_s`, a lead with at most `lead_brake`, and both keep their sideways acceleration within `side_accel` and
-`side_brake`; a car that crosses into the ego's lane within `CUT_IN_S` is in it already.
+`side_brake`; a car that crosses into the ego's lane within `CUT_IN_S` is in it already; one that has come in nearer
+than that, but is faster than the ego, is taken to pull away.
 """
 
 from __future__ import annotations
@@ -122,8 +123,8 @@ def keep_clear(s: Situation, i: int, leaving: bool, rule: Any, vehicle: Any) -> 
     leaving: it is only in the way as long as the ego has not left the lane.
     """
     ego, row, p = s.rows[0], s.rows[i], s.preset
-    aside = aside_m(ego, row, s.lanes)
-    if aside >= side_gap(ego, row, p):
+    aside, enters = aside_m(ego, row, s.lanes), s.previous >= 0 and not leaving
+    if aside >= side_gap(ego, row, p) and not enters:  # who comes in behind it is not apart from it for long
         return
     # While the two are still apart sideways the change may be given up; leaving a lane may go on, but not back behind
     # a car that is too close there.
@@ -131,7 +132,7 @@ def keep_clear(s: Situation, i: int, leaving: bool, rule: Any, vehicle: Any) -> 
     for a in range(POLICY_ACTIONS):
         if a != SLOW_DOWN and not (a >= LEFT and (leaving or apart) and not (leaving and a == back)):
             close(rule, vehicle, a, LEAD, i)
-    if row[VX] <= ego[VX]:  # no emergency brake for a car that is pulling away
+    if row[VX] <= ego[VX] or enters:  # no emergency brake for a car that has come in and is pulling away
         close_again(rule, vehicle, SLOW_DOWN, LEAD, i)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from fast_node.mask.entering import LEAVE_S
+from fast_node.mask.entering import LEAVE_S, room
 from fast_node.mask.vocabulary import (
     AHEAD,
     CRUISE,
@@ -132,7 +132,7 @@ def start_pass(s: Situation, aim: int) -> tuple[int, int]:
         closing = max(0.0, ego[VX] - other[VX] + doubt(other, DOUBT_VX))
         if gap_between(ego, other) - doubt(other, DOUBT_X) < 3.0 + 1.5 * closing:
             return LEAD, ahead
-    return OPEN, -1
+    return room(s, aim)  # who stands there, or passes the ego, does not face it
 
 
 def settle_pass(s: Situation, rule: Any, vehicle: Any) -> None:

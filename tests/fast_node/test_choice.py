@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from typing import Any
 
 import pytest
 
-from fast_node.choice import DECIDED, HELD, MASKED, SOURCES, WISHED, choose, narrow
+from fast_node.choice import (
+    DECIDED,
+    HELD,
+    HOLD_OFF_TICKS,
+    MASKED,
+    SOURCES,
+    WISHED,
+    choose,
+    comfortable_mps,
+    hold_off,
+    narrow,
+    worth_entering,
+)
 from fast_node.mask.vocabulary import BRAKE, CRUISE, LEAD, LEFT, NOT_WISHED, OPEN, RIGHT, SLOW_DOWN, SPEED_UP
+from schemas.driving.actions import held
 
 ALL = (SLOW_DOWN, CRUISE, SPEED_UP, LEFT, RIGHT)
 SPEEDS = {SLOW_DOWN, CRUISE, SPEED_UP}
 ANY, ALONE, FAST = -1, (), 28.0
 
 
-def lane(number: int, end: float = 9000.0, way: float = 1.0, ramp: float = 0.0) -> tuple[float, ...]:
-    return (4.0 * number, 0.0, end, way, 4.0, FAST, -1e9, ramp)
+def lane(
+    number: int, end: float = 9000.0, way: float = 1.0, ramp: float = 0.0, opens: float = -1e9
+) -> tuple[float, ...]:
+    return (4.0 * number, 0.0, end, way, 4.0, FAST, opens, ramp)
 
 
 HIGHWAY = [lane(k) for k in range(4)]
@@ -34,17 +50,19 @@ def ruled_out(
     speed: float = 10.0,
     ego_speed: float = 0.0,
     aim: int = 1,
+    leaves: int = -1,
     left: int = -1,
+    cap: float = math.inf,
     wish: tuple[int, float, float] = (ANY, FAST, 1.0),
     lanes: list[tuple[float, ...]] = HIGHWAY,
 ) -> set[int]:
-    """What the intent closes of the actions `opened`. cars: the first is the lead; aim, left: the lanes of a change;
-    speed: the set-point; wish: lane, speed, headway. The ego is 5 m long and stands, so that nothing is eased."""
+    """What the intent closes of the actions `opened`. cars: the first is the lead; aim, leaves: the lanes of a change;
+    left: not to be entered again yet; speed: the set-point; wish: lane, speed, headway. The ego is 5 m long."""
     rule = [OPEN if a in opened else LEAD for a in ALL] + [OPEN]
     before, near = list(rule), [-1] * (3 * len(lanes))
     if cars:
         near[3 * aim] = 1
-    narrow(rule, [car(500.0, ego_speed, aim, 5.0), *cars], near, lanes, speed, aim, left, *wish)
+    narrow(rule, [car(500.0, ego_speed, aim, 5.0), *cars], near, lanes, speed, aim, leaves, left, *wish, cap)
     changed = {a for a in range(6) if rule[a] != before[a]}
     assert all(before[a] == OPEN and rule[a] == NOT_WISHED for a in changed)
     return changed
@@ -107,7 +125,7 @@ def test_a_change_to_the_left_out_of_the_last_lane_looks_at_the_lane_to_its_left
 @pytest.mark.parametrize("left", [0, 2])
 def test_while_a_change_is_under_way_no_other_is_begun(left):
     back = LEFT if left == 0 else RIGHT
-    assert ruled_out(left=left, wish=(3, FAST, 1.0), opened=set(ALL) - {LEFT + RIGHT - back}) == {back}
+    assert ruled_out(leaves=left, wish=(3, FAST, 1.0), opened=set(ALL) - {LEFT + RIGHT - back}) == {back}
 
 
 # A change under way.
@@ -115,27 +133,22 @@ def test_while_a_change_is_under_way_no_other_is_begun(left):
 
 @pytest.mark.parametrize(("left", "back"), [(0, LEFT), (2, RIGHT)])
 def test_a_change_that_can_go_on_is_not_given_up(left, back):
-    assert ruled_out(left=left) == {back}
+    assert ruled_out(leaves=left) == {back}
 
 
 @pytest.mark.parametrize(("left", "back"), [(0, LEFT), (2, RIGHT)])
-def test_a_change_that_cannot_go_on_at_this_speed_may_be_given_up(left, back):
-    assert ruled_out(left=left, opened=set(ALL) - {CRUISE}) == set()
+@pytest.mark.parametrize("other", SPEEDS)
+def test_a_change_is_given_up_where_the_mask_leaves_nothing_else_alone(left, back, other):
+    assert ruled_out(leaves=left, opened={back}) == set()
+    assert ruled_out(leaves=left, opened={back, other}) == {back}
 
 
 def test_a_pass_may_be_given_up():
-    assert ruled_out(lanes=[lane(0, way=-1.0), lane(1)], aim=0, left=1, opened={*SPEEDS, RIGHT}) == set()
+    assert ruled_out(lanes=[lane(0, way=-1.0), lane(1)], aim=0, leaves=1, opened={*SPEEDS, RIGHT}) == set()
 
 
 def test_a_way_back_that_is_closed_keeps_its_reason():
-    assert ruled_out(left=0, opened=SPEEDS) == set()
-
-
-# Where the ego may not even slow down, nothing milder than braking is taken away.
-
-
-def test_who_may_not_slow_down_may_do_all_that_is_safe():
-    assert ruled_out(opened={CRUISE, SPEED_UP, LEFT, RIGHT}, left=0, speed=20.0, wish=(1, 5.0, 1.0)) == set()
+    assert ruled_out(leaves=0, opened=SPEEDS) == set()
 
 
 # In the wished lane.
@@ -157,23 +170,41 @@ def test_a_borrowed_lane_may_be_left_whatever_lane_is_wished():
     assert ruled_out(lanes=TWO_WAY, aim=0, opened={*SPEEDS, RIGHT}, wish=(0, FAST, 1.0)) == set()
 
 
-# Speeds.
+# A lane that was left.
 
 
-def greatest(*cars: list[float], **given: object) -> float:
-    """The greatest set-point [m/s], to a hundredth, that may be kept."""
-    kept = [c for c in range(0, 3001) if CRUISE not in ruled_out(*cars, speed=c / 100 + 0.005, **given)]  # type: ignore[arg-type]
-    assert kept == list(range(len(kept)))
-    return kept[-1] / 100
+@pytest.mark.parametrize(("left", "side"), [(0, LEFT), (2, RIGHT)])
+def test_a_lane_that_was_left_is_not_entered_again_yet(left, side):
+    assert ruled_out(left=left) == {side}
+    assert ruled_out(left=left, opened={side}) == set()
 
 
-def test_the_wished_speed_may_be_kept_and_no_greater_one():
-    assert greatest(wish=(ANY, 12.0, 1.0)) == 12.0
-    assert ruled_out(speed=12.0 + 0.01, wish=(ANY, 12.0, 1.0)) == {SPEED_UP}
+def test_a_wish_does_not_enter_a_lane_again_that_was_left_either():
+    assert ruled_out(left=0, wish=(0, FAST, 1.0)) == {LEFT, RIGHT}
 
 
-def test_a_hundredth_above_the_wished_speed_may_be_kept():
-    assert ruled_out(speed=12.0 + 0.01, wish=(ANY, 12.0, 1.0)) == {SPEED_UP}
+def test_a_lane_that_was_left_is_entered_again_out_of_one_that_ends_or_is_borrowed():
+    assert ruled_out(left=1, lanes=THIRD_ENDS, aim=2) == set()
+    assert ruled_out(left=1, lanes=TWO_WAY, aim=0, opened={*SPEEDS, RIGHT}) == set()
+
+
+def test_the_lane_that_a_change_leaves_is_held_off_for_three_seconds_after_it():
+    left = (-1, 0)
+    for _ in range(30):
+        left = hold_off(*left, target_lane=2, previous_lane=1)
+    assert left == (1, HOLD_OFF_TICKS) == (1, 45)
+    for _ in range(44):
+        left = hold_off(*left, target_lane=2, previous_lane=-1)
+    assert left == (1, 1)
+    assert hold_off(*left, target_lane=2, previous_lane=-1)[1] == 0
+
+
+def test_the_lane_of_a_change_that_was_given_up_is_held_off():
+    left = hold_off(-1, 0, target_lane=2, previous_lane=1)
+    assert hold_off(*left, target_lane=1, previous_lane=2) == (2, HOLD_OFF_TICKS)
+
+
+# A lane worth entering.
 
 
 def lead(gap: float, speed: float = 10.0, in_lane: int = 1) -> list[float]:
@@ -181,78 +212,146 @@ def lead(gap: float, speed: float = 10.0, in_lane: int = 1) -> list[float]:
     return car(500.0 + gap + 6.0, speed, in_lane)
 
 
+def worth(ahead: list[float] | None, aim: int, own: int, headway: float = 1.5, speed: float = 20.0, **road: Any) -> bool:
+    lanes = road.get("lanes", HIGHWAY)
+    near = [-1] * (3 * len(lanes))
+    if ahead:
+        near[3 * aim] = 1
+    rows = [car(500.0, speed, own, 5.0), *([ahead] if ahead else [])]
+    return worth_entering(rows, near, lanes, own, aim, headway)
+
+
 @pytest.mark.parametrize(
-    ("gap", "headway", "speed"),
-    [
-        (30.0, 1.0, 13.5),  # a fifth of 30 - 2.5 - 10 m faster than the lead
-        (30.0, 0.5, 14.5),
-        (30.0, 2.0, 11.5),
-        (12.5, 1.0, 10.0),  # just the headway: as fast as the lead
-        (11.5, 1.0, 9.8),
-        (10.0, 1.0, 9.5),  # half a metre per second slower, and no more
-        (3.0, 1.0, 9.5),
-        (1.0, 0.0, 9.7),  # nearer than at a standstill
-    ],
+    ("gap", "headway", "entered"),
+    [(22.1, 1.5, True), (21.9, 1.5, False), (12.1, 0.5, True), (11.9, 0.5, False), (-3.0, 0.5, False)],
 )
-def test_behind_a_lead_the_speed_brings_the_wished_headway_about(gap, headway, speed):
-    assert greatest(lead(gap), wish=(ANY, FAST, headway)) == pytest.approx(speed)
+def test_a_lane_is_entered_with_a_second_s_headway_after_a_second_or_the_wished_one(gap, headway, entered):
+    # 2 m/s faster than the next car there: 2 m are lost until then.
+    assert worth(lead(gap, 18.0, 2), 2, 1, headway) == entered
 
 
-def test_behind_a_lead_the_wished_speed_is_the_most():
-    assert greatest(lead(30.0), wish=(ANY, 12.0, 1.0)) == 12.0
+@pytest.mark.parametrize(("speed", "entered"), [(4.9, True), (5.1, False)])
+def test_a_lane_that_ends_soon_is_not_worth_entering(speed, entered):
+    # 100 m are left: ten seconds, and 50 m.
+    assert worth(None, 2, 1, speed=speed, lanes=THIRD_ENDS) == entered
 
 
-def test_towards_a_car_that_rolls_back_there_are_five_seconds_to_a_collision():
-    assert greatest(lead(12.5, speed=-0.09), wish=(ANY, FAST, 6.0)) == pytest.approx(1.91)
-    assert greatest(lead(22.5, speed=-0.09), wish=(ANY, FAST, 6.0)) == pytest.approx(3.91)
+def test_a_ramp_is_not_worth_entering():
+    assert not worth(None, 0, 1, lanes=[lane(0, end=2000.0, ramp=1.0), lane(1)])
 
 
-def test_a_car_that_rolls_back_near_the_ego_is_not_approached():
-    assert ruled_out(lead(2.4, speed=-0.09), speed=0.0, wish=(ANY, FAST, 6.0)) == {CRUISE, SPEED_UP}
+@pytest.mark.parametrize(("speed", "entered"), [(19.9, False), (20.1, True)])
+def test_out_of_a_lane_that_ends_within_five_seconds_any_gap_is_worth_entering(speed, entered):
+    assert worth(lead(5.0, speed), 1, 2, speed=speed, lanes=THIRD_ENDS) == entered
 
 
-def test_a_car_that_only_comes_into_the_lane_needs_no_headway():
-    assert greatest(lead(10.0, in_lane=2)) == 28.0
+def test_what_is_not_worth_entering_is_closed_where_anything_else_is_open():
+    near_ahead = [lead(5.0, 20.0, 1)]
+    assert ruled_out(*near_ahead, ego_speed=20.0) == set()  # that one is in the own lane
+    rule, near = [OPEN] * 6, [-1, -1, -1, -1, -1, -1, 1, -1, -1, -1, -1, -1]
+    narrow(rule, [car(500.0, 20.0, 1, 5.0), lead(5.0, 20.0, 2)], near, HIGHWAY, 20.0, 1, -1, -1, ANY, FAST, 1.0, FAST)
+    assert {a for a in ALL if rule[a] != OPEN} == {RIGHT}
+    rule = [LEAD, LEAD, LEAD, LEAD, OPEN, OPEN]
+    narrow(rule, [car(500.0, 20.0, 1, 5.0), lead(5.0, 20.0, 2)], near, HIGHWAY, 20.0, 1, -1, -1, ANY, FAST, 1.0, FAST)
+    assert rule[RIGHT] == OPEN
 
 
-def test_on_a_ramp_no_headway_is_needed():
-    assert greatest(lead(10.0), lanes=[lane(0), lane(1, ramp=1.0)]) == 28.0
+# Speeds.
 
 
-def test_in_the_leftmost_lane_the_lead_is_the_one_there():
-    assert greatest(lead(30.0, in_lane=0), aim=0) == 13.5
-
-
-@pytest.mark.parametrize(("ego_speed", "eased"), [(16.5, set()), (16.4, {CRUISE}), (10.0, {CRUISE})])
-def test_the_set_point_is_lowered_to_just_below_the_speed_and_no_further(ego_speed, eased):
-    assert ruled_out(speed=15.0, ego_speed=ego_speed, wish=(ANY, 10.0, 1.0)) - {SPEED_UP} == eased
-
-
-@pytest.mark.parametrize(("speed", "closed"), [(9.0, set()), (9.99, set()), (10.0, {SPEED_UP}), (10.005, {SPEED_UP})])
-def test_the_speed_rises_to_the_wished_one(speed, closed):
+@pytest.mark.parametrize(("speed", "closed"), [(9.0, set()), (9.99, set()), (10.0, {SPEED_UP}), (15.0, {SPEED_UP})])
+def test_the_set_point_rises_to_the_wished_speed(speed, closed):
     assert ruled_out(speed=speed, wish=(ANY, 10.0, 1.0)) == closed
 
 
-@pytest.mark.parametrize(("speed", "closed"), [(12.5, set()), (12.6, {SPEED_UP})])
-def test_behind_a_lead_the_speed_rises_by_whole_steps_as_far_as_the_headway_admits(speed, closed):
-    assert ruled_out(lead(30.0), speed=speed) == closed
+@pytest.mark.parametrize(("speed", "closed"), [(11.89, set()), (11.91, {SPEED_UP}), (20.0, {SPEED_UP})])
+def test_the_set_point_rises_to_the_cap(speed, closed):
+    assert ruled_out(speed=speed, cap=12.0) == closed
 
 
-def test_a_step_that_ends_at_the_wished_speed_is_as_long_as_that():
-    assert ruled_out(lead(30.0), speed=13.0, wish=(ANY, 13.4, 1.0)) == set()
+def test_rising_stays_open_where_nothing_else_is():
+    assert ruled_out(speed=20.0, opened={SPEED_UP}, wish=(ANY, 10.0, 1.0), cap=12.0) == set()
 
 
-def test_speeds_that_are_closed_already_keep_their_reason():
-    assert ruled_out(speed=20.0, opened={SLOW_DOWN}, wish=(ANY, 10.0, 1.0)) == set()
+def comfortable(
+    *cars: list[float],
+    speed: float = 0.0,
+    accel: float = 0.0,
+    wish: tuple[float, float] = (FAST, 1.0),
+    aim: int = 1,
+    lanes: list[tuple[float, ...]] = HIGHWAY,
+    x: float = 500.0,
+) -> float:
+    """The comfortable speed [m/s] of an ego of 5 m; cars: the first is ahead in the lane `aim`, or comes into it."""
+    near = [-1] * (3 * len(lanes))
+    if cars:
+        near[3 * aim] = 1
+    return comfortable_mps([car(x, speed, aim, 5.0), *cars], near, lanes, aim, accel, *wish)
+
+
+def test_alone_the_wished_speed_is_comfortable():
+    assert comfortable(wish=(12.0, 1.0)) == 12.0
+
+
+@pytest.mark.parametrize(
+    ("gap", "headway", "speed"),
+    [
+        (30.0, 1.0, 10 + math.sqrt(52.5 + 36) - 6),  # 30 - 2.5 - 10 m to close in, braking with 1.5 at last
+        (30.0, 0.5, 10 + math.sqrt(67.5 + 36) - 6),
+        (30.0, 2.0, 10 + math.sqrt(22.5 + 36) - 6),
+        (12.5, 1.0, 10.0),  # just the headway: as fast as the lead
+        (11.5, 1.0, 9.75),  # a quarter per second and metre
+        (10.0, 1.0, 9.375),
+        (2.6, 1.0, 7.525),
+        (2.4, 1.0, 7.5),  # no more than 2.5 m/s slower
+        (1.0, 0.0, 9.625),  # nearer than at a standstill
+    ],
+)
+def test_behind_a_lead_the_speed_brings_the_wished_headway_about(gap, headway, speed):
+    assert comfortable(lead(gap), wish=(FAST, headway)) == pytest.approx(speed)
+
+
+def test_behind_a_lead_the_wished_speed_is_the_most():
+    assert comfortable(lead(30.0), wish=(12.0, 1.0)) == 12.0
+
+
+def test_a_car_that_rolls_back_counts_as_standing():
+    assert comfortable(lead(12.5, speed=-0.09), wish=(FAST, 6.0)) == pytest.approx(math.sqrt(30 + 36) - 6)
+
+
+def test_a_car_that_only_comes_into_the_lane_needs_no_headway():
+    assert comfortable(lead(10.0, in_lane=2)) == FAST
+
+
+@pytest.mark.parametrize(("x", "speed"), [(200.0, 240**0.5), (229.0, 240**0.5), (230.0, 240**0.5), (300.0, 72**0.5)])
+def test_on_a_ramp_the_speed_is_what_may_be_driven_where_it_opens(x, speed):
+    # 120 m before its end, 20 of them to spare: braking with 1.2.
+    ramp = [lane(0), lane(1, end=350.0, ramp=1.0, opens=230.0)]
+    assert comfortable(lanes=ramp, x=x) == pytest.approx(speed)
+
+
+@pytest.mark.parametrize(
+    ("accel", "speed"),
+    [(0.0, 19.9), (1.0, 19.9), (-1.0, 18.9), (-1.89, 18.01), (-1.95, 18.0), (-6.0, 18.0)],
+)
+def test_comfort_brakes_with_two_and_comes_to_that_slowly(accel, speed):
+    # A tenth of a metre per second squared more each tick: 1.5 m/s3.
+    assert comfortable(speed=20.0, accel=accel, wish=(10.0, 1.0)) == pytest.approx(speed)
+
+
+def test_comfort_does_not_hold_up_what_is_hardly_slower():
+    assert comfortable(speed=20.0, wish=(19.95, 1.0)) == 19.95
 
 
 # The choice.
 
 
-def chosen(logits: tuple[float, ...], holding: bool = False, **rules: int) -> tuple[int, int]:
-    """With the actions named closed by these rules."""
+def chosen(logits: tuple[float, ...], goes_on: int | None = None, **rules: int) -> tuple[int, int]:
+    """With the actions named closed by these rules; goes_on: what the last decision asks for meanwhile, if none is
+    due."""
     names = ("slow_down", "cruise", "speed_up", "left", "right", "brake")
-    return choose(logits, [rules.get(name, OPEN) for name in names], holding)
+    rule = [rules.get(name, OPEN) for name in names]
+    return choose(logits, rule, goes_on is None, CRUISE if goes_on is None else goes_on)
 
 
 @pytest.mark.parametrize("action", ALL)
@@ -286,25 +385,41 @@ SHUT: dict[str, Any] = {"slow_down": LEAD, "cruise": LEAD, "speed_up": LEAD, "le
 
 def test_where_all_is_closed_it_brakes():
     assert chosen((0.0,) * 5, **SHUT) == (BRAKE, MASKED)
-    assert chosen((0.0,) * 5, holding=True, **SHUT) == (BRAKE, MASKED)
+    assert chosen((0.0,) * 5, SPEED_UP, **SHUT) == (BRAKE, MASKED)
 
 
-@pytest.mark.parametrize("liked", [SLOW_DOWN, CRUISE, SPEED_UP])
-def test_between_two_decisions_the_speed_holds(liked):
-    assert chosen(tuple(float(a == liked) for a in ALL), holding=True) == (CRUISE, HELD)
+@pytest.mark.parametrize("goes_on", [SLOW_DOWN, CRUISE, SPEED_UP])
+@pytest.mark.parametrize("liked", ALL)
+def test_between_two_decisions_the_last_one_goes_on(goes_on, liked):
+    assert chosen(tuple(float(a == liked) for a in ALL), goes_on) == (goes_on, HELD)
 
 
-@pytest.mark.parametrize("side", [LEFT, RIGHT])
-def test_an_open_change_that_the_policy_wants_waits_for_no_decision(side):
-    assert chosen(tuple(float(a == side) for a in ALL), holding=True) == (side, DECIDED)
+@pytest.mark.parametrize(
+    ("decided", "goes_on"),
+    [(SLOW_DOWN, SLOW_DOWN), (CRUISE, CRUISE), (SPEED_UP, SPEED_UP), (LEFT, CRUISE), (RIGHT, CRUISE), (BRAKE, CRUISE)],
+)
+def test_a_speed_goes_on_to_change_and_a_lane_change_begins_once(decided, goes_on):
+    assert held(decided) == goes_on
 
 
-def test_a_closed_change_that_the_policy_wants_holds_the_speed():
-    assert chosen((0.0, 0.0, 1.0, 2.0, 0.0), holding=True, left=LEAD) == (CRUISE, HELD)
+@pytest.mark.parametrize("goes_on", [SLOW_DOWN, SPEED_UP])
+def test_between_two_decisions_a_step_that_is_closed_is_not_taken(goes_on):
+    name = "slow_down" if goes_on == SLOW_DOWN else "speed_up"
+    assert chosen((1.0, 0.0, 2.0, 3.0, 0.0), goes_on, **{name: LEAD}) == (CRUISE, HELD)
 
 
-def test_between_two_decisions_a_closed_speed_is_decided_anew():
-    assert chosen((0.0, 3.0, 1.0, 0.0, 0.0), holding=True, cruise=LEAD) == (SPEED_UP, MASKED)
+LIKES_RIGHT = (0.0, 0.0, 0.0, 0.0, 9.0)
+
+
+def test_between_two_decisions_what_is_nearest_to_a_closed_speed_is_done():
+    assert chosen(LIKES_RIGHT, SPEED_UP, speed_up=LEAD, cruise=LEAD) == (SLOW_DOWN, MASKED)
+    assert chosen(LIKES_RIGHT, CRUISE, cruise=LEAD, slow_down=LEAD) == (SPEED_UP, MASKED)
+    assert chosen(LIKES_RIGHT, CRUISE, cruise=LEAD, slow_down=LEAD, speed_up=LEAD) == (LEFT, MASKED)
+    assert chosen(LIKES_RIGHT, CRUISE, **{**SHUT, "right": OPEN}) == (RIGHT, MASKED)
+
+
+def test_between_two_decisions_it_is_told_where_only_the_wish_was_against_the_speed():
+    assert chosen(LIKES_RIGHT, CRUISE, cruise=NOT_WISHED) == (SLOW_DOWN, WISHED)
 
 
 def test_each_verdict_has_the_word_for_it_that_is_sent():

@@ -29,9 +29,14 @@ GATES = [(-1e9, 1e9, -1e9, 0.0)] * 2
 
 
 def edit(
-    meta: MetaAction, speed: float = 5.0, lane: int = 1, previous: int = -1, goal: float = math.nan
+    meta: MetaAction,
+    speed: float = 5.0,
+    lane: int = 1,
+    previous: int = -1,
+    goal: float = math.nan,
+    cap: float = math.inf,
 ) -> tuple[float, int, int]:
-    return executor.edit_set_points(int(meta), speed, lane, previous, GATES, 0.0, goal, 0.0, 8.0)
+    return executor.edit_set_points(int(meta), speed, lane, previous, GATES, 0.0, goal, 0.0, 8.0, cap)
 
 
 def act(
@@ -52,30 +57,40 @@ def fresh(seed: int = 0) -> SimNode:
     return node
 
 
-def test_speed_steps_are_inverse_of_each_other() -> None:
+def test_speed_steps_of_a_tenth_are_inverse_of_each_other() -> None:
     up = edit(MetaAction.SPEED_UP)
-    assert up == (6.0, 1, -1)
-    assert edit(MetaAction.SLOW_DOWN, *up) == (5.0, 1, -1)
+    assert up == (pytest.approx(5.1), 1, -1)
+    assert edit(MetaAction.SLOW_DOWN, *up) == (pytest.approx(5.0), 1, -1)
 
 
 def test_speed_steps_stay_within_the_scenario() -> None:
-    assert edit(MetaAction.SPEED_UP, 7.5)[0] == 8.0
-    assert edit(MetaAction.SLOW_DOWN, 0.5)[0] == 0.0
+    assert edit(MetaAction.SPEED_UP, 7.95)[0] == 8.0
+    assert edit(MetaAction.SLOW_DOWN, 0.05)[0] == 0.0
 
 
-@pytest.mark.parametrize(("meta", "start"), [(MetaAction.SPEED_UP, 4.9), (MetaAction.SLOW_DOWN, 6.1)])
+@pytest.mark.parametrize(("meta", "start"), [(MetaAction.SPEED_UP, 5.34), (MetaAction.SLOW_DOWN, 5.66)])
 def test_a_step_towards_a_goal_stops_exactly_at_it(meta: MetaAction, start: float) -> None:
-    speed = start
-    for _ in range(2):
-        before, speed = speed, edit(meta, speed, goal=5.5)[0]
-        if speed == 5.5:
-            break
-        assert abs(before - speed) == pytest.approx(1.0)
-    assert speed == 5.5
+    first = edit(meta, start, goal=5.5)[0]
+    assert abs(start - first) == pytest.approx(0.1)
+    assert edit(meta, first, goal=5.5)[0] == 5.5
 
 
 def test_a_goal_does_not_stop_a_step_away_from_it() -> None:
-    assert edit(MetaAction.SLOW_DOWN, 5.0, goal=5.5)[0] == 4.0
+    assert edit(MetaAction.SLOW_DOWN, 5.0, goal=5.05)[0] == pytest.approx(4.9)
+
+
+@pytest.mark.parametrize(("cap", "stepped"), [(math.inf, 4.9), (6.0, 4.9), (3.0, 2.9), (0.05, 0.0), (-2.0, 0.0)])
+def test_slowing_down_starts_from_the_speed_that_is_admitted(cap: float, stepped: float) -> None:
+    assert edit(MetaAction.SLOW_DOWN, cap=cap)[0] == pytest.approx(stepped)
+
+
+@pytest.mark.parametrize(("meta", "speed"), [(MetaAction.CRUISE, 5.0), (MetaAction.SPEED_UP, 5.1)])
+def test_a_cap_leaves_the_set_point_as_it_is(meta: MetaAction, speed: float) -> None:
+    assert edit(meta, cap=3.0)[0] == pytest.approx(speed)
+
+
+def test_slowing_down_from_a_cap_stops_at_a_goal_below_it() -> None:
+    assert edit(MetaAction.SLOW_DOWN, goal=2.95, cap=3.0)[0] == 2.95
 
 
 def test_a_lane_action_starts_one_change_and_repeating_it_changes_nothing() -> None:
@@ -119,36 +134,68 @@ def test_a_standing_car_does_not_steer() -> None:
     assert executor.steering_command(4.0, 0.0, 0.4, 0.0, 0.0) == 0.0
 
 
-def test_acceleration_and_jerk_are_bounded_whatever_is_asked() -> None:
+STYLES = pytest.mark.parametrize(("style", "most", "jerk"), [(0, 1.2, 1.0), (1, 1.8, 2.0), (2, 2.5, 3.0)])
+"""Calm, normal, assertive: what the ego speeds up with, and how fast it comes to that [m/s2, m/s3]."""
+
+
+def accelerated(speed: float, target: float, last: float, style: int = 1, meta: MetaAction = MetaAction.CRUISE) -> float:
+    return executor.acceleration_command(speed, target, last, int(meta), style, DT)
+
+
+@STYLES
+def test_acceleration_and_jerk_are_bounded_whatever_is_asked(style: int, most: float, jerk: float) -> None:
     rng = np.random.default_rng(3)
     speed, last, target = 5.0, 0.0, 5.0
     for k in range(3000):
         if k % 20 == 0:
             target = float(rng.uniform(0.0, 25.0))
-        accel = executor.acceleration_command(speed, target, last, int(MetaAction.CRUISE), DT)
-        assert -6.0 <= accel <= 3.0
+        accel = accelerated(speed, target, last, style)
+        assert -8.0 <= accel <= most
         if speed > 0.5:  # stopping itself ends a braking at once
             released = last < -executor.COMFORT_BRAKE_MPS2
-            up = executor.BRAKE_RELEASE_JERK_MPS3 if released else executor.JERK_UP_MPS3
+            eased = max(jerk, executor.EASE_JERK_MPS3) if last < 0.0 else jerk
+            up = executor.BRAKE_RELEASE_JERK_MPS3 if released else eased
             assert -4.0 - 1e-9 <= (accel - last) / DT <= up + 1e-9
         speed, last = speed + accel * DT, accel
         assert speed >= -1e-9
 
 
+@pytest.mark.parametrize(("style", "eased"), [(0, 2.0), (1, 2.0), (2, 3.0)])
+def test_every_style_lets_a_brake_go_in_time(style: int, eased: float) -> None:
+    assert accelerated(5.0, 25.0, -2.0, style) == pytest.approx(-2.0 + eased / 15)
+
+
+@STYLES
+def test_a_style_bounds_how_the_ego_speeds_up(style: int, most: float, jerk: float) -> None:
+    first = accelerated(5.0, 25.0, 0.0, style)
+    assert first == pytest.approx(jerk / 15)
+    accel = first
+    for _ in range(60):
+        accel = accelerated(5.0, 25.0, accel, style)
+    assert accel == most
+
+
+@pytest.mark.parametrize("style", [0, 1, 2])
+def test_every_style_brakes_alike(style: int) -> None:
+    assert accelerated(20.0, 5.0, -4.0, style) == pytest.approx(-4.0 - 4.0 / 15)
+    assert accelerated(20.0, 5.0, 1.0, style, MetaAction.EMERGENCY_BRAKE) == -8.0
+
+
 def test_an_emergency_brakes_fully_at_once_and_stops_without_rolling_back() -> None:
     speed, accel = 5.0, 2.0
-    accel = executor.acceleration_command(speed, 8.0, accel, int(MetaAction.EMERGENCY_BRAKE), DT)
-    assert accel == -6.0
+    accel = accelerated(speed, 8.0, accel, meta=MetaAction.EMERGENCY_BRAKE)
+    assert accel == -8.0
     for _ in range(30):
-        accel = executor.acceleration_command(speed, 8.0, accel, int(MetaAction.EMERGENCY_BRAKE), DT)
+        accel = accelerated(speed, 8.0, accel, meta=MetaAction.EMERGENCY_BRAKE)
         speed += accel * DT
     assert speed == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_speed_change_does_not_overshoot() -> None:
+@pytest.mark.parametrize("style", [0, 1, 2])
+def test_a_speed_change_does_not_overshoot(style: int) -> None:
     speed, accel, slowest = 8.0, 0.0, 8.0
     for _ in range(200):
-        accel = executor.acceleration_command(speed, 3.0, accel, int(MetaAction.CRUISE), DT)
+        accel = accelerated(speed, 3.0, accel, style)
         speed += accel * DT
         slowest = min(slowest, speed)
     assert slowest > 2.95
@@ -206,19 +253,16 @@ def test_an_action_is_applied_once() -> None:
     node = fresh()
     speed = node.step(act(node), 0).target_speed_mps
     action = act(node, MetaAction.SPEED_UP)
-    assert node.step(action, 0).target_speed_mps == pytest.approx(speed + 1.0)
-    assert node.step(action, 0).target_speed_mps == pytest.approx(speed + 1.0)
+    assert node.step(action, 0).target_speed_mps == pytest.approx(speed + 0.1)
+    assert node.step(action, 0).target_speed_mps == pytest.approx(speed + 0.1)
     assert node.metrics.holds == 1
 
 
 def test_a_speed_goal_of_an_action_is_held_exactly() -> None:
     node = fresh()
-    observation: Observation | None = None
-    for _ in range(5):
-        observation = node.step(act(node, MetaAction.SPEED_UP, goal=6.5), 0)
-        if observation.target_speed_mps == 6.5:
-            return
-    pytest.fail(f"target speed {observation and observation.target_speed_mps}")
+    goal = node.step(act(node), 0).target_speed_mps + 0.15
+    reached = [node.step(act(node, MetaAction.SPEED_UP, goal=goal), 0).target_speed_mps for _ in range(2)]
+    assert reached == [pytest.approx(goal - 0.05), pytest.approx(goal)]
 
 
 @pytest.mark.parametrize("kind", ["none", "last tick", "future tick", "old epoch", "unknown action"])

@@ -63,5 +63,5 @@ def test_a_follower_that_brakes_at_once_does_not_reach_an_ego_that_may_go_on_wit
     rows = [car(0, 500, 2, v, y_m=y), car(1, 500 + behind, aim, other_v)]
     rule, _ = judge(rows, HIGHWAY, v, aim, previous=2, preset=p)
     assume(rule[MetaAction.CRUISE] == OPEN)
-    ego, follower = braking(500.0, v, p.ego_brake), braking(500.0 + behind, other_v, p.follower_brake, p.reaction_s)
+    ego, follower = braking(500.0, v, p.shown_brake), braking(500.0 + behind, other_v, p.follower_brake, p.reaction_s)
     assert all(ego(k / 30)[0] - follower(k / 30)[0] >= 5.0 for k in range(300))

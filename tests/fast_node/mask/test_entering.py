@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from fast_node.mask import OPEN, PRESETS
@@ -60,6 +60,11 @@ def test_nobody_drives_from_the_road_onto_the_ramp():
 @either_side
 @settings(max_examples=200, deadline=None)
 @given(speeds, speeds, speeds, st.floats(0.1, 80), st.floats(0.1, 80), accels, likings)
+@example(2.0, 0.0, 2.0, 4.0, 2.0, 3.0, EAGER)
+@example(2.6307, 2.8912, 0.0917, 10.5718, 2.8912, 2.6307, EAGER)
+@example(3.5785, 4.2062, 2.9911, 4.4417, 2.5321, 1.9169, EAGER)
+@example(20.9247, 1.016, 4.4515, 49.4412, 34.8752, 2.6596, EAGER)
+@example(20.131, 26.6971, 27.9919, 68.9512, 2.3752, 2.9104, (1, 0, 2, 4, 3))
 def test_after_an_open_change_the_leads_of_both_lanes_may_brake_fully(
     preset, side, v, lead_v, other_v, gap, other_gap, accel, liking
 ):
@@ -90,5 +95,5 @@ def test_after_an_open_change_a_follower_that_reacts_late_does_not_reach_the_ego
     rule, _ = judge(rows, lanes, v, 2, preset=p)
     assume(rule[side] == OPEN)
     late = p.follower_reaction_s + FOLLOWER_BLIND_S * max(0.0, 1.0 - v / CREEP_MPS)
-    ego, follower = braking(x, v, p.ego_brake), braking(x - 5.0 + behind, other_v, p.follower_brake, late, 0.5)
+    ego, follower = braking(x, v, p.shown_brake), braking(x - 5.0 + behind, other_v, p.follower_brake, late, 0.5)
     assert all(ego(k / 30)[0] - follower(k / 30)[0] > 5.0 for k in range(300))

@@ -108,8 +108,20 @@ def test_a_pass_takes_as_long_as_its_acceleration_and_its_top_speed_have_it(dist
 
 
 def test_cars_are_apart_by_what_is_between_their_sides():
-    assert aside_m(car(0, 0, 1, 0), car(1, 9, 2, 0, y_m=7.0)) == 1.0
-    assert aside_m(car(0, 0, 1, 0), car(1, 9, 1, 0, y_m=2.5)) == -0.5
+    assert aside_m(car(0, 0, 1, 0), car(1, 9, 2, 0, y_m=7.0), HIGHWAY) == 1.0
+    assert aside_m(car(0, 0, 1, 0), car(1, 9, 1, 0, y_m=2.5), HIGHWAY) == -0.5
+
+
+@pytest.mark.parametrize(
+    ("y", "sideways", "apart"),
+    [
+        (8.0, -1.0, -2.0),  # on its way into the ego's lane, where it settles
+        (7.0, 1.0, 1.0),  # on its way to the middle of its own
+        (6.5, -0.3, 0.5),  # it sways
+    ],
+)
+def test_cars_are_apart_by_what_will_be_between_them_where_that_is_less(y, sideways, apart):
+    assert aside_m(car(0, 0, 1, 0), moving(car(1, 9, 2, 0, y_m=y), sideways), HIGHWAY) == pytest.approx(apart)
 
 
 @pytest.mark.parametrize(
@@ -117,15 +129,19 @@ def test_cars_are_apart_by_what_is_between_their_sides():
     [
         (0.0, 0.0, 8.0, 0.25 + 2 * (0.0625 + 0.015625)),
         (1.0, 0.0, 8.0, 0.25 + 0.5625 + 0.390625 + 0.078125),
-        (0.0, -1.0, 8.0, 0.25 + 0.5625 + 0.390625 + 0.078125),
+        (0.0, -1.0, 8.0, 0.25 + 2 * (0.0625 + 0.015625)),  # where it goes is known
         (-1.0, 0.0, 0.0, 0.25 + 0.5625 + 0.390625 + 0.078125),
-        (0.0, 1.0, 0.0, 0.25 + 0.5625 + 0.390625 + 0.078125),
         (-1.0, 1.0, 8.0, 0.25),
     ],
 )
-def test_cars_that_near_each_other_sideways_need_room_to_brake_sideways(ego, other, y, gap):
+def test_an_ego_that_nears_a_car_sideways_needs_room_to_brake_sideways(ego, other, y, gap):
     rows = moving(car(0, 0, 1, 9), ego), moving(car(1, 9, 1, 9, y_m=y), other)
     assert side_gap(*rows, PLAIN) == pytest.approx(gap)
+
+
+def test_a_car_of_which_it_is_in_doubt_how_it_moves_sideways_needs_room_for_that():
+    track = [*car(1, 9, 2, 9), 0.0, 0.5, 0.0, 1.0]  # half a metre, and 1 m/s
+    assert side_gap(car(0, 0, 1, 9), track, PLAIN) == pytest.approx(0.5 + 0.25 + 0.078125 + 0.5625 + 0.390625)
 
 
 # The end of a lane.

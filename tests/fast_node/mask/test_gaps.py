@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -12,17 +14,18 @@ from schemas.wire.messages import MetaAction
 from tests.mask_scenes import (
     EAGER,
     HIGHWAY,
+    LANES,
     RAMP,
     Ego,
     accels,
     ahead_by,
     braking,
+    capped,
     car,
     closed,
     closed_on,
     every_preset,
     in_lane,
-    judge,
     likings,
     presets,
     speeds,
@@ -36,21 +39,28 @@ def test_too_close_a_lead_leaves_only_the_emergency_brake():
 
 def test_the_set_point_may_not_exceed_what_the_gap_admits():
     rows = [car(0, 500, 1, 4), car(1, 511, 1, 4)]
-    assert closed(rows, target_speed=8.0)[MetaAction.CRUISE] == "speed above the gap's"
+    assert closed(rows, target_speed=8.0)[MetaAction.SPEED_UP] == "speed above the gap's"
+    # 6 m: 0.7 m more than 2.5 m and 0.7 s.
+    assert capped(rows, LANES, 8.0, 1)[2] == pytest.approx(4.35)
 
 
 def test_a_car_that_cuts_in_ahead_limits_the_speed_before_it_is_in_the_lane():
     rows = [car(0, 500, 2, 25), car(4, 536, 1, 20, y_m=5.5, vy_mps=1.5)]
-    assert closed_on(HIGHWAY, rows, 2)[MetaAction.CRUISE] == "speed above the gap's"
+    assert closed_on(HIGHWAY, rows, 2)[MetaAction.SPEED_UP] == "speed above the gap's"
+    # 31 m, two of them not braked in: after 0.3 s with 6.5 m/s2, the lead with 9.
+    cap = math.sqrt(1.95**2 + 2 * 6.5 * 29 + 6.5 / 9 * 20**2) - 1.95
+    assert capped(rows, HIGHWAY, 25.0, 2)[2] == pytest.approx(cap)
 
 
 def test_a_car_that_crosses_the_lane_between_limits_the_speed_however_fast_it_crosses():
     crossing = car(1, 545, 1, 15, y_m=5.2, vy_mps=4.5)
     behind_it = [car(0, 500, 3, 25, y_m=10.7), crossing]
-    assert RULES[judge(behind_it, HIGHWAY, 25.0, 2, 3)[0][MetaAction.CRUISE]] == "speed above the gap's"
+    rule, _, cap = capped(behind_it, HIGHWAY, 25.0, 2, 3)
+    assert RULES[rule[MetaAction.SPEED_UP]] == "speed above the gap's"
+    assert cap == pytest.approx(math.sqrt(1.95**2 + 2 * 6.5 * 38 + 6.5 / 9 * 15**2) - 1.95)
 
 
-@pytest.mark.parametrize(("drift", "in_the_way"), [(0.25, True), (0.0, False), (-0.25, False)])
+@pytest.mark.parametrize(("drift", "in_the_way"), [(0.31, True), (0.29, False), (0.0, False), (-0.31, False)])
 def test_a_car_ahead_in_the_next_lane_is_in_the_way_where_it_drifts_towards_the_ego(drift: float, in_the_way: bool):
     rows = [car(0, 500, 2, 20), car(4, 508, 1, 20, y_m=5.65, vy_mps=drift)]
     assert (closed_on(HIGHWAY, rows, 2).get(MetaAction.CRUISE) == "lead too close") == in_the_way
@@ -74,8 +84,8 @@ def test_the_ego_brakes_sideways_as_the_mask_takes_it_to(preset, speed, ticks):
 
 def test_a_car_that_stands_askew_is_as_wide_as_it_is():
     ego = car(0, 500, 1, 10)
-    assert MetaAction.CRUISE not in closed_on(RAMP, [ego, car(1, 515, 2, 0, y_m=7.0)], 1)
-    assert MetaAction.CRUISE in closed_on(RAMP, [ego, car(1, 515, 2, 0, y_m=7.0, heading_rad=0.9)], 1)
+    assert MetaAction.SPEED_UP not in closed_on(RAMP, [ego, car(1, 515, 2, 0, y_m=7.0)], 1)
+    assert MetaAction.SPEED_UP in closed_on(RAMP, [ego, car(1, 515, 2, 0, y_m=7.0, heading_rad=0.9)], 1)
 
 
 @every_preset

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -9,12 +10,13 @@ from fast_node.mask import PRESETS
 from fast_node.mask.lane_end import OUT_M
 from schemas.driving.road import LANE_END, LANE_Y
 from schemas.wire.messages import MetaAction
-from tests.mask_scenes import EAGER, RAMP, accels, ahead_by, car, closed_on, every_preset, in_lane, likings, steady
+from tests.mask_scenes import EAGER, RAMP, accels, ahead_by, capped, car, closed_on, every_preset, in_lane, likings, steady
 
 
 def test_the_end_of_the_ramp_slows_the_ego_down_and_then_stops_it():
     blocked = [car(i, 300 + 12 * i, 1, 14) for i in range(-4, 5) if i]
-    assert closed_on(RAMP, [car(0, 300, 2, 18), *blocked], 2)[MetaAction.CRUISE] == "lane ends"
+    assert closed_on(RAMP, [car(0, 300, 2, 18), *blocked], 2)[MetaAction.SPEED_UP] == "lane ends"
+    assert capped([car(0, 300, 2, 18), *blocked], RAMP, 18.0, 2)[2] == pytest.approx((2 * 1.2 * 30) ** 0.5)
     assert set(range(5)) <= set(closed_on(RAMP, [car(0, 335, 2, 12), *blocked], 2))
 
 

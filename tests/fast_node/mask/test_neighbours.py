@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from fast_node.mask.neighbours import half_width, heads_for, survey
+from fast_node.mask.neighbours import half_width, heads_for, settles_at, survey
 from schemas.driving.road import lane_table
 from tests.mask_scenes import HIGHWAY, RAMP, moving
 from tests.scenes import car, lane
@@ -122,3 +122,28 @@ def test_a_car_that_hardly_rolls_back_is_not_oncoming():
 
 def test_a_car_that_changes_lanes_is_found_in_both():
     assert near(moving(car(1, 520, 1, 9, y_m=5.5), 1.0)) == [-1, -1, -1, 1, -1, -1, 1, *[-1] * 5]
+
+
+# Where a motion sideways ends.
+
+
+@pytest.mark.parametrize(
+    ("lane", "y", "sideways", "end"),
+    [
+        (1, 4.0, 0.31, 8.0),  # out of its lane, once it is past the middle
+        (1, 3.91, 0.31, 8.0),
+        (1, 3.89, 0.31, 4.0),  # to the middle of its lane
+        (1, 4.09, -0.31, 0.0),
+        (1, 4.11, -0.31, 4.0),
+        (1, 5.0, 0.3, 5.0),  # it sways
+        (0, -0.5, -1.0, -2.5),  # off the road, 2 s far
+        (3, 12.5, 1.0, 14.5),
+    ],
+)
+def test_a_motion_sideways_ends_on_the_centre_line_that_comes_next(lane, y, sideways, end):
+    assert settles_at(moving(car(1, 500, lane, 9, y_m=y), sideways), HIGHWAY) == pytest.approx(end)
+
+
+def test_a_car_on_a_ramp_that_may_not_be_left_yet_follows_its_bend():
+    row = moving(car(1, 200, 2, 9, y_m=9.0), -1.0)
+    assert (heading(row, RAMP, 750.0), settles_at(row, RAMP)) == (2, 8.0)
