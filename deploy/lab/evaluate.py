@@ -30,6 +30,9 @@ def evaluate_all(
     checkpoint: Path | None = None,
     directive: Directive = "hurry",
     wishes_mps: Sequence[float | None] = (None,),
+    noise_m: float = 0.0,
+    noise_mps: float = 0.0,
+    dropout: float = 0.0,
     progress: Callable[[str], None] = lambda _: None,
     each: list[Episode] | None = None,
 ) -> dict[str, Any]:
@@ -38,7 +41,8 @@ def evaluate_all(
 
     `policies`, as `load_policy` takes them, drive behind the mask and are agents under these names. Without agents and
     policies the one whose policy is in `checkpoint` drives, or ours. Raises `ConfigError` for a checkpoint that none
-    of the agents uses, and as `drive` does. Every episode is appended to `each`.
+    of the agents uses, and as `drive` does, which noise_m, noise_mps and dropout are for. Every episode is appended to
+    `each`.
     """
     own = trained_as(checkpoint) if checkpoint else "ours"
     if agents is None:
@@ -56,6 +60,8 @@ def evaluate_all(
             progress(f"{agent} on {name}" + ("" if wish_mps is None else f", {wish_mps:g} m/s wished"))
             more: dict[str, Any] = {}
             if agent in LANGUAGE and not is_policy:
+                if noise_m or noise_mps or dropout:
+                    raise ValueError(f"{agent} sees everything as it is: leave noise and dropout out")
                 results, more["llm"] = _drive_language(agent, SCENARIOS[name], seeds, directive, wish_mps)
             else:
                 results = drive(
@@ -65,6 +71,9 @@ def evaluate_all(
                     checkpoint=None if is_policy else checkpoint,
                     directive=directive,
                     wish_mps=wish_mps,
+                    noise_m=noise_m,
+                    noise_mps=noise_mps,
+                    dropout=dropout,
                 )
             if each is not None:
                 place = {"scenario": name, "agent": agent, "wish_mps": wish_mps, "directive": directive}

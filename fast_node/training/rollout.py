@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from fast_node import choice, mask
 from fast_node.choice import HELD, MASKED
 from fast_node.mask.vocabulary import AHEAD, FACING
+from fast_node.training.tracking import FleetTracks, Sense
 from schemas.driving.features import FEATURES, N_ROWS, Array, policy_input
 from schemas.driving.intent import ANY_LANE, intended_lane
 from schemas.driving.measures import TTC_CAP_S, ttc_s
 from schemas.driving.reward import reward, shortfall
-from schemas.driving.road import DECISION_TICKS, DT_S, ID, LANE, LANE_END, LANE_Y, NOBODY, VX, X, gap_between
-from schemas.driving.tracks import COLUMNS, N_NOISE, follow
+from schemas.driving.road import DECISION_TICKS, LANE, LANE_END, LANE_Y, VX, X, gap_between
 from schemas.runtime.compiled import compiled
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 
@@ -115,21 +115,6 @@ def _choose_all(logits: Any, rule: Any, age: Any, meta: Any, by: Any) -> None:
         meta[s], by[s] = choice.choose(logits[s], rule[s], age[s] < DECISION_TICKS)
 
 
-def _follow_all(tracks: Any, noise: Any, seen: Any, lanes: Any, sight: float, age: Any, ticks: Any) -> None:
-    """Take what every ego sees into its tracks: tracks (S, T, C), noise (S, N), seen (S, V, 9). age (S,): the ticks of
-    the scenes so far, ticks (S,): at their last look, when nothing is to be done if they are equal."""
-    for s in range(len(tracks)):
-        if age[s] == ticks[s]:
-            continue
-        if age[s] == 0 or ticks[s] < 0:
-            tracks[s] = 0.0
-            tracks[s, :, ID] = NOBODY
-            noise[s] = 0.0
-        follow(tracks[s], noise[s], seen[s], lanes[s], sight, (age[s] - ticks[s]) * DT_S)
-        ticks[s] = age[s]
-
-
-_follow = compiled(_follow_all)
 _look = compiled(_look_all)
 _observe = compiled(_observe_all)
 _choose = compiled(_choose_all)
@@ -175,27 +160,20 @@ class Fleet:
     """S scenes of one task: what each ego sees, is asked for and may do now.
 
     Not `masked`: anything, always. Not `obeyed`: a wish closes nothing; behind the mask it does, unless told otherwise.
-    `sense` makes of a scene's index and rows (V, 9) what its ego's sensors report, absent rows included; None: all.
+    `sense`: what its sensors make of a scene; None: they see it as it is.
     """
 
     def __init__(
-        self,
-        world: World,
-        task: Task,
-        *,
-        masked: bool = True,
-        obeyed: bool | None = None,
-        sense: Callable[[int, Array], Array] | None = None,
+        self, world: World, task: Task, *, masked: bool = True, obeyed: bool | None = None, sense: Sense | None = None
     ) -> None:
-        self.world, self.task, self.masked, self._sense = world, task, masked, sense
+        self.world, self.task, self.masked = world, task, masked
         self._obeyed = masked if obeyed is None else obeyed
         self._preset = mask.PRESETS[task.preset]
         s, n = len(world.rows), len(task.lanes)
         self.lanes = np.repeat(task.lanes[None], s, axis=0)
         self.rule, self.vehicle = np.zeros((s, len(MetaAction)), np.int64), np.zeros((s, len(MetaAction)), np.int64)
-        self._seen = world.rows.astype(np.float64)  # the node computes with Python's floats: here the same numbers
-        self._rows, self._noise = np.zeros((s, world.rows.shape[1], COLUMNS)), np.zeros((s, N_NOISE))
-        self._ticks = np.full(s, -1)
+        self._tracks = FleetTracks(world.rows, sense)
+        self._rows = self._tracks.rows
         self._near = np.zeros((s, 3 * n), np.int64)
         self._order = np.zeros(world.rows.shape[1], np.int64)
         self.told_lane, self.pass_id = np.full(s, ANY_LANE), np.full(s, -1)
@@ -207,11 +185,7 @@ class Fleet:
         """Mask, wishes and time to collision of the present state."""
         w = self.world
         self.lanes[:, :, LANE_Y] = w.lane_y
-        self._seen[:] = w.rows
-        if self._sense is not None:
-            for scene in np.flatnonzero(w.ticks != self._ticks):
-                self._seen[scene] = self._sense(int(scene), w.rows[scene])
-        _follow(self._rows, self._noise, self._seen, self.lanes, self.task.sight_m, w.ticks, self._ticks)
+        self._tracks.follow(w.rows, w.ticks, self.lanes, self.task.sight_m)
         _look(
             self._rows,
             self.lanes,
@@ -272,8 +246,9 @@ class Scenes(Fleet):
         *,
         masked: bool = True,
         obeyed: bool | None = None,
+        sense: Sense | None = None,
     ) -> None:
-        super().__init__(world, task, masked=masked, obeyed=obeyed)
+        super().__init__(world, task, masked=masked, obeyed=obeyed, sense=sense)
         self._rng = np.random.default_rng(seed)
         self._decision_ticks = decision_ticks
         s = len(world.rows)
@@ -284,7 +259,7 @@ class Scenes(Fleet):
     def reset(self, which: Bools) -> None:
         """New scenes where told; a directive is drawn for each, and again now and then during the episode."""
         self.world.reset(which)
-        self._ticks[which] = -1
+        self._tracks.forget(which)
         self.age[which], self.returns[which] = 0, 0.0
         self._direct(which)
         self.look()
