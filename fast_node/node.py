@@ -9,11 +9,11 @@ from fast_node.config import FastConfig
 from fast_node.coordination import Coordination
 from fast_node.mask import OPEN, PRESETS, Preset, close_actions
 from fast_node.policies.policy import Policy
+from fast_node.tracks import Tracks
 from schemas.driving.actions import held
 from schemas.driving.features import Array, features
 from schemas.driving.intent import ANY_LANE, Intent
 from schemas.driving.road import LANE_END, LANE_WAY, LANE_Y, NOBODY, X, lane_table
-from schemas.driving.tracks import Tracks
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import POLICY_ACTIONS, Action, Closure, Directive, Event, MetaAction, Observation, Reason
 

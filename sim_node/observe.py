@@ -57,9 +57,7 @@ class Senses:
     """The same sensor in many scenes at once, each with its own errors: those of `perceived` for that seed."""
 
     def __init__(self, seeds: Sequence[int], noise_m: float, noise_mps: float, dropout: float) -> None:
-        """seeds: of the scenes' episodes. Raises ValueError for a negative error, or a chance that is not in 0..1."""
-        if not (noise_m >= 0 and noise_mps >= 0 and 0 <= dropout < 1):
-            raise ValueError("noise_m and noise_mps must not be negative, and dropout must be within 0..1")
+        """seeds: of the scenes' episodes."""
         self._rngs = [streams(seed)[2] for seed in seeds]
         self._imperfect = (noise_m, noise_mps, dropout)
 
@@ -73,3 +71,8 @@ class Senses:
         out[:, ID] = NOBODY
         out[: len(seen)] = seen
         return out
+
+
+def senses(seeds: Sequence[int], noise_m: float, noise_mps: float, dropout: float) -> Senses | None:
+    """The sensor of these episodes; None where it misses and mistakes nothing."""
+    return Senses(seeds, noise_m, noise_mps, dropout) if noise_m or noise_mps or dropout else None

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from deploy.cli.options import DEFAULT_PORT, EXITS, Json, Port
+from deploy.cli.options import DEFAULT_PORT, EXITS, Dropout, Json, NoiseM, NoiseMps, Port
 
 commands = typer.Typer()
 
@@ -30,9 +30,9 @@ def run(
     ] = "two-way-natural",
     seed: Annotated[int, typer.Option(min=0, help="Which traffic there is on it.")] = 0,
     density: Annotated[float, typer.Option(min=0.2, max=3.0, help="Times the usual density of traffic.")] = 1.0,
-    noise_m: Annotated[float, typer.Option(min=0.0, help="Error of perceived positions, standard deviation.")] = 0.0,
-    noise_mps: Annotated[float, typer.Option(min=0.0, help="Error of perceived speeds, standard deviation.")] = 0.0,
-    dropout: Annotated[float, typer.Option(min=0.0, max=0.9, help="Chance that a car goes unseen at a tick.")] = 0.0,
+    noise_m: NoiseM = 0.0,
+    noise_mps: NoiseMps = 0.0,
+    dropout: Dropout = 0.0,
     duration: Annotated[
         float | None, typer.Option(min=1.0, help="End after this many seconds.", show_default="until Ctrl-C")
     ] = None,

@@ -9,7 +9,7 @@ from typing import Annotated, cast
 
 import typer
 
-from deploy.cli.options import EXITS, Json, readable_ends
+from deploy.cli.options import EXITS, Dropout, Json, NoiseM, NoiseMps, readable_ends
 
 commands = typer.Typer()
 
@@ -82,6 +82,9 @@ def evaluate(
             show_default="as the directive has it",
         ),
     ] = None,
+    noise_m: NoiseM = 0.0,
+    noise_mps: NoiseMps = 0.0,
+    dropout: Dropout = 0.0,
     plot: Annotated[
         Path | None,
         typer.Option(
@@ -137,6 +140,9 @@ def evaluate(
             mask_preset=mask_preset,
             density=density,
             wishes_mps=wish or [None],
+            noise_m=noise_m,
+            noise_mps=noise_mps,
+            dropout=dropout,
             progress=lambda text: typer.echo(text, err=True),
             each=each,
         )

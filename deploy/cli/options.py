@@ -14,6 +14,9 @@ EXITS = (
     "78 bad configuration or model, 130/143 signals."
 )
 Port = Annotated[int, typer.Option(min=1, max=65535, help="TCP port on 127.0.0.1 where the system listens.")]
+NoiseM = Annotated[float, typer.Option(min=0.0, help="Error of perceived positions, standard deviation.")]
+NoiseMps = Annotated[float, typer.Option(min=0.0, help="Error of perceived speeds, standard deviation.")]
+Dropout = Annotated[float, typer.Option(min=0.0, max=0.9, help="Chance that a car goes unseen at a tick.")]
 Json = Annotated[bool, typer.Option("--json", help="Data as JSON on stdout; everything else on stderr.")]
 
 

@@ -15,7 +15,7 @@ from fast_node.training.rollout import Fleet
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import MetaAction
 from sim_node.engine.batched import Batched
-from sim_node.observe import Senses
+from sim_node.observe import senses
 from sim_node.results import EpisodeResult
 from sim_node.scenarios import Scenario
 from sim_node.scenarios.scenario import streams
@@ -108,8 +108,7 @@ def drive(
     policy = load_policy("constant:cruise" if who.policy in ("idm", "brake") else str(replaced or who.policy))
     preset = mask_preset or (load_policy(str(checkpoint)) if own == "ours" else policy).mask_preset
     world = Batched(scenario, len(seeds), 0, ego="idm" if who.policy == "idm" else "executor")
-    imperfect = (noise_m, noise_mps, dropout)
-    sense = Senses(seeds, *imperfect) if any(imperfect) else None
+    sense = senses(seeds, noise_m, noise_mps, dropout)
     fleet = Fleet(world, task_of(scenario, preset), masked=who.masked, sense=sense)
     for i, seed in enumerate(seeds):
         world.load(i, scenario.spawn(streams(seed)[0]))

@@ -34,6 +34,9 @@ def evaluate_all(
     mask_preset: str | None = None,
     density: float = 1.0,
     wishes_mps: Sequence[float | None] = (None,),
+    noise_m: float = 0.0,
+    noise_mps: float = 0.0,
+    dropout: float = 0.0,
     progress: Callable[[str], None] = lambda _: None,
     each: list[Episode] | None = None,
 ) -> dict[str, Any]:
@@ -45,7 +48,8 @@ def evaluate_all(
 
     `policies`, as `load_policy` takes them, drive behind the mask and are agents under these names. Without agents and
     policies the one whose policy is in `checkpoint` drives, or ours. Raises `ConfigError` for a checkpoint that none
-    of the agents uses, and as `drive` does. Every episode is appended to `each`.
+    of the agents uses, and as `drive` does, which noise_m, noise_mps and dropout are for. Every episode is appended to
+    `each`.
     """
     own = trained_as(checkpoint) if checkpoint else "ours"
     if agents is None:
@@ -65,6 +69,8 @@ def evaluate_all(
             if agent in LANGUAGE and not is_policy:
                 if directive_at_s or mask_preset:
                     raise ValueError(f"{agent} has its directive from the start, and no mask")
+                if noise_m or noise_mps or dropout:
+                    raise ValueError(f"{agent} sees everything as it is: leave noise and dropout out")
                 results, more["llm"] = _drive_language(agent, road, seeds, directive, wish_mps)
             else:
                 results = drive(
@@ -76,6 +82,9 @@ def evaluate_all(
                     wish_mps=wish_mps,
                     directive_at_s=directive_at_s,
                     mask_preset=mask_preset,
+                    noise_m=noise_m,
+                    noise_mps=noise_mps,
+                    dropout=dropout,
                 )
             if each is not None:
                 place = {"scenario": name, "agent": agent, "wish_mps": wish_mps, "directive": directive}

@@ -99,10 +99,19 @@ def drive(sim: SimNode, policy: NamedPolicy, ask: Ask, duration_s: float, preset
 
 
 def run_episode(
-    seed: int, policy: NamedPolicy, ask: Ask, *, duration_s: float = 60.0, scenario: str = "two-way"
+    seed: int,
+    policy: NamedPolicy,
+    ask: Ask,
+    *,
+    duration_s: float = 60.0,
+    scenario: str = "two-way",
+    noise_m: float = 0.0,
+    noise_mps: float = 0.0,
+    dropout: float = 0.0,
 ) -> Episode:
-    """Drive one episode and measure it."""
-    episode, sim = Episode(seed), SimNode(SimConfig(scenario=scenario, seed=seed))
+    """Drive one episode and measure it. noise_m, noise_mps, dropout: see `SimConfig`."""
+    config = SimConfig(scenario=scenario, seed=seed, noise_m=noise_m, noise_mps=noise_mps, dropout=dropout)
+    episode, sim = Episode(seed), SimNode(config)
     for tick in drive(sim, policy, ask, duration_s):
         episode.events += tick.events
         episode.overridden += tick.action.source == "masked"

@@ -18,6 +18,7 @@ from fast_node.mask import PRESETS
 from fast_node.policies.mlp import BASELINES
 from fast_node.training.rollout import Mixed, Scenes
 from sim_node.engine.batched import Batched
+from sim_node.observe import senses
 from sim_node.scenarios import SCENARIOS, Scenario
 
 SCENES = 64
@@ -52,14 +53,19 @@ def scenes_of(
     masked: bool = True,
     obeyed: bool | None = None,
     preset: str = "sim",
+    noise_m: float = 0.0,
+    noise_mps: float = 0.0,
+    dropout: float = 0.0,
 ) -> Scenes:
     """Scenes to learn or to be measured in: with random directives, or in a hurry; behind the mask, or not; where a
-    wish closes what is against it (as the mask does, by default), or not."""
-    task = task_of(scenario, preset)
-    if not hurried:
-        return Scenes(Batched(scenario, scenes, world_seed), task, wish_seed, masked=masked, obeyed=obeyed)
-    task = replace(task, draw=partial(directed, "hurry", scenario))
-    return HurriedScenes(Batched(scenario, scenes, world_seed), task, wish_seed, masked=masked, obeyed=obeyed)
+    wish closes what is against it (as the mask does, by default), or not; seen as they are, or as
+    `sim_node.observe.perceived` has it."""
+    task, kind = task_of(scenario, preset), Scenes
+    if hurried:
+        task, kind = replace(task, draw=partial(directed, "hurry", scenario)), HurriedScenes
+    sense = senses(range(world_seed, world_seed + scenes), noise_m, noise_mps, dropout)
+    world = Batched(scenario, scenes, world_seed)
+    return kind(world, task, wish_seed, masked=masked, obeyed=obeyed, sense=sense)
 
 
 def mixed_scenes(

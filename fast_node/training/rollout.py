@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from fast_node import choice, mask
 from fast_node.choice import MASKED
 from fast_node.mask.vocabulary import AHEAD, FACING, LEFT, RIGHT
+from fast_node.training.tracking import FleetTracks, Sense
 from schemas.driving.actions import held
 from schemas.driving.features import FEATURES, N_ROWS, Array, policy_input
 from schemas.driving.intent import ANY_LANE, NORMAL, STYLES, intended_lane, unasked_lane
 from schemas.driving.measures import TTC_CAP_S, ttc_s
 from schemas.driving.reward import reward, shortfall
-from schemas.driving.road import DECISION_TICKS, DT_S, HZ, ID, LANE, LANE_END, LANE_Y, NOBODY, VX, X, gap_between
-from schemas.driving.tracks import COLUMNS, N_NOISE, follow
+from schemas.driving.road import DECISION_TICKS, HZ, LANE, LANE_END, LANE_Y, VX, X, gap_between
 from schemas.runtime.compiled import compiled
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 
@@ -51,6 +51,7 @@ def _look_all(
     rule: Any,
     vehicle: Any,
     wish_lane: Any,
+    fresh: Any,
     left: Any,
     cap: Any,
     ttc: Any,
@@ -59,7 +60,8 @@ def _look_all(
     """Of every scene: what the mask and the intent close, the speed cap, the lane wished now, the time to collision
     and the shortfall of the gap.
 
-    near, rule, vehicle, wish_lane, cap, ttc, short: outputs; the rest as `Fleet` has it.
+    near, rule, vehicle, wish_lane, left, cap, ttc, short: outputs; fresh (S,): whether a tick has passed; the rest as
+    `Fleet` has it.
     """
     for s in range(rows.shape[0]):
         safe = mask.close_actions(
@@ -76,6 +78,8 @@ def _look_all(
                 if told_lane[s] >= 0
                 else unasked_lane(lanes[s], target_lane[s], previous[s], rows[s, 0, X], rows[s, 0, VX])
             )
+        if fresh[s]:
+            left[s, 0], left[s, 1] = choice.hold_off(left[s, 0], left[s, 1], target_lane[s], previous[s])
         cap[s] = safe
         if obeyed:
             wished = choice.comfortable_mps(
@@ -156,35 +160,6 @@ def _choose_all(logits: Any, rule: Any, age: Any, holding: Any, meta: Any, by: A
         age[s] += 1
 
 
-def _follow_all(
-    tracks: Any,
-    noise: Any,
-    seen: Any,
-    lanes: Any,
-    target_lane: Any,
-    previous: Any,
-    left: Any,
-    sight: float,
-    age: Any,
-    ticks: Any,
-) -> None:
-    """Take what every ego sees into its tracks: tracks (S, T, C), noise (S, N), seen (S, V, 9); and what lane it is not
-    to enter again into `left` (S, 2). age (S,): the ticks of the scenes so far, ticks (S,): at their last look, when
-    nothing is to be done if they are equal."""
-    for s in range(len(tracks)):
-        if age[s] == ticks[s]:
-            continue
-        if age[s] == 0 or ticks[s] < 0:
-            tracks[s] = 0.0
-            tracks[s, :, ID] = NOBODY
-            noise[s] = 0.0
-            left[s] = 0
-        follow(tracks[s], noise[s], seen[s], lanes[s], sight, (age[s] - ticks[s]) * DT_S)
-        left[s, 0], left[s, 1] = choice.hold_off(left[s, 0], left[s, 1], target_lane[s], previous[s])
-        ticks[s] = age[s]
-
-
-_follow = compiled(_follow_all)
 _look = compiled(_look_all)
 _observe = compiled(_observe_all)
 _choose = compiled(_choose_all)
@@ -232,27 +207,20 @@ class Fleet:
     """S scenes of one task: what each ego sees, is asked for and may do now.
 
     Not `masked`: anything, always. Not `obeyed`: a wish closes nothing; behind the mask it does, unless told otherwise.
-    `sense` makes of a scene's index and rows (V, 9) what its ego's sensors report, absent rows included; None: all.
+    `sense`: what its sensors make of a scene; None: they see it as it is.
     """
 
     def __init__(
-        self,
-        world: World,
-        task: Task,
-        *,
-        masked: bool = True,
-        obeyed: bool | None = None,
-        sense: Callable[[int, Array], Array] | None = None,
+        self, world: World, task: Task, *, masked: bool = True, obeyed: bool | None = None, sense: Sense | None = None
     ) -> None:
-        self.world, self.task, self.masked, self._sense = world, task, masked, sense
+        self.world, self.task, self.masked = world, task, masked
         self._obeyed = masked if obeyed is None else obeyed
         self._preset = mask.PRESETS[task.preset]
         s, n = len(world.rows), len(task.lanes)
         self.lanes = np.repeat(task.lanes[None], s, axis=0)
         self.rule, self.vehicle = np.zeros((s, len(MetaAction)), np.int64), np.zeros((s, len(MetaAction)), np.int64)
-        self._seen = world.rows.astype(np.float64)  # the node computes with Python's floats: here the same numbers
-        self._rows, self._noise = np.zeros((s, world.rows.shape[1], COLUMNS)), np.zeros((s, N_NOISE))
-        self._ticks = np.full(s, -1)
+        self._tracks = FleetTracks(world.rows, sense)
+        self._rows = self._tracks.rows
         self._near = np.zeros((s, 3 * n), np.int64)
         self._order = np.zeros(world.rows.shape[1], np.int64)
         self.told_lane, self.pass_id = np.full(s, ANY_LANE), np.full(s, -1)
@@ -267,22 +235,7 @@ class Fleet:
         """Mask, wishes and time to collision of the present state."""
         w = self.world
         self.lanes[:, :, LANE_Y] = w.lane_y
-        self._seen[:] = w.rows
-        if self._sense is not None:
-            for scene in np.flatnonzero(w.ticks != self._ticks):
-                self._seen[scene] = self._sense(int(scene), w.rows[scene])
-        _follow(
-            self._rows,
-            self._noise,
-            self._seen,
-            self.lanes,
-            w.target_lane,
-            w.previous_lane,
-            self.left,
-            self.task.sight_m,
-            w.ticks,
-            self._ticks,
-        )
+        fresh = self._tracks.follow(w.rows, w.ticks, self.lanes, self.task.sight_m)
         _look(
             self._rows,
             self.lanes,
@@ -303,6 +256,7 @@ class Fleet:
             self.rule,
             self.vehicle,
             self.wish,
+            fresh,
             self.left,
             self.cap_mps,
             self.ttc_s,
@@ -349,8 +303,9 @@ class Scenes(Fleet):
         *,
         masked: bool = True,
         obeyed: bool | None = None,
+        sense: Sense | None = None,
     ) -> None:
-        super().__init__(world, task, masked=masked, obeyed=obeyed)
+        super().__init__(world, task, masked=masked, obeyed=obeyed, sense=sense)
         self._rng = np.random.default_rng(seed)
         self._decision_ticks = decision_ticks
         s = len(world.rows)
@@ -363,7 +318,8 @@ class Scenes(Fleet):
     def reset(self, which: Bools) -> None:
         """New scenes where told; a directive is drawn for each, and again now and then during the episode."""
         self.world.reset(which)
-        self._ticks[which] = -1
+        self._tracks.forget(which)
+        self.left[which] = 0
         self.age[which], self.returns[which] = 0, 0.0
         self._direct(which)
         self.look()
@@ -378,8 +334,9 @@ class Scenes(Fleet):
     def become(self, other: Scenes, which: Ints) -> None:
         """Go on from where scenes `which` (S,) of another of the same task are: to try what may come of them."""
         self.world.copy(other.world, which)
+        self._tracks.become(other._tracks, which)
         for name in (
-            "_rows", "_noise", "_ticks", "left", "told_lane", "pass_id", "v_des", "headway", "style", "age", "returns",
+            "left", "told_lane", "pass_id", "v_des", "headway", "style", "age", "returns",
             "_holding", "rule", "vehicle", "wish", "cap_mps", "ttc_s", "short", "_near", "lanes",
         ):  # fmt: skip
             getattr(self, name)[:] = getattr(other, name)[which]

@@ -36,7 +36,6 @@ from schemas.driving.road import (
     Y,
     road_end,
 )
-from schemas.wire.messages import Observation
 
 N_ROW = DOUBT_VY + 1
 SOURCE, LOST_S, SEEN, LANE_TICKS, ACCEL, SD_X, SD_Y, VAR_VX, COV_VA, VAR_A, VAR_VY, JUMPED = range(N_ROW, N_ROW + 12)
@@ -83,8 +82,10 @@ LANE_TELLS = 3
 
 EXACT_M, EXACT_MPS = 0.05, 0.1
 """Mean misfits below which positions and speeds count as exact."""
-PRIOR, FORGET, CLIP = 5.0, 0.03, 0.1
+PRIOR, FORGET, CLIP = 5.0, 0.015, 0.1
 """Of the running means: samples of no misfit to begin with, weight of a new sample, and how far one may stick out."""
+BELIE = 5.0
+"""Speeds are in error by no more than so many times what the positions belie them by."""
 LISTEN_TO = 8
 """Cars that are compared at a tick."""
 MISFIT_M, MISFIT_MPS = 0.7979 * math.sqrt(2.0), 0.7979 * math.sqrt(6.0)
@@ -146,11 +147,11 @@ def find(tracks: Any, number: float, at: int) -> int:
 
 def is_taken(tracks: Any, number: float) -> bool:
     """Whether a track has taken in the car that the sensor calls `number` at this tick."""
+    taken = False
     for j in range(1, len(tracks)):
         t = tracks[j]
-        if t[SOURCE] == number and t[ID] >= 0 and t[LOST_S] == 0.0:
-            return True
-    return False
+        taken = taken or (t[SOURCE] == number and t[ID] >= 0 and t[LOST_S] == 0.0)
+    return taken
 
 
 def observe(t: Any, row: Any, noise: Any, lanes: Any, dt: float) -> None:
@@ -323,13 +324,16 @@ def listen(noise: Any, t: Any, row: Any, dt: float) -> None:
     """
     weight = max(1.0 / (noise[SAMPLES] + PRIOR), FORGET)
     noise[SAMPLES] += 1.0
-    hear(noise, NOISE_X, misfit(row[X] - t[RAW_X], t[RAW_VX] * dt, row[VX] * dt), weight)
-    hear(noise, NOISE_Y, misfit(row[Y] - t[RAW_Y], t[RAW_VY] * dt, row[VY] * dt), weight)
+    along = misfit(row[X] - t[RAW_X], t[RAW_VX] * dt, row[VX] * dt)
+    aside = misfit(row[Y] - t[RAW_Y], t[RAW_VY] * dt, row[VY] * dt)
+    hear(noise, NOISE_X, along, weight)
+    hear(noise, NOISE_Y, aside, weight)
     if t[SEEN] > 1.0:
         weight = max(1.0 / (noise[SAMPLES + 1] + PRIOR), FORGET)
         noise[SAMPLES + 1] += 1.0
-        hear(noise, NOISE_VX, abs(row[VX] - 2.0 * t[RAW_VX] + t[BEFORE_VX]), weight)
-        hear(noise, NOISE_VY, abs(row[VY] - 2.0 * t[RAW_VY] + t[BEFORE_VY]), weight)
+        bend, aside_bend = row[VX] - 2.0 * t[RAW_VX] + t[BEFORE_VX], row[VY] - 2.0 * t[RAW_VY] + t[BEFORE_VY]
+        hear(noise, NOISE_VX, min(abs(bend), BELIE * along / dt), weight)  # positions that bear a speed out clear it
+        hear(noise, NOISE_VY, min(abs(aside_bend), BELIE * aside / dt), weight)
 
 
 def misfit(moved: float, one: float, other: float) -> float:
@@ -372,36 +376,3 @@ def grow(tracks: Any, k: int, before: float, now: float) -> None:
         else:
             t[VAR_VY] = t[VAR_VY] * (now / before) * (now / before) if before > 0.0 else now * now
         doubt_of(t, t[LOST_S])
-
-
-class Tracks:
-    """The tracks of one ego's world: what a node keeps from tick to tick."""
-
-    def __init__(self) -> None:
-        self._epoch: int | None = None
-        self._tick, self._lanes = 0, 0
-        self._tracks: list[list[float]] = []
-        self._noise = [0.0] * N_NOISE
-
-    @property
-    def noise(self) -> tuple[float, float, float, float]:
-        """Standard deviations that the sensor seems to have: x, y [m], vx, vy [m/s]; 0 for what is exact."""
-        x, y, vx, vy = self._noise[SIGMA : SIGMA + 4]
-        return x, y, vx, vy
-
-    def follow(self, observation: Observation, seen: Any, lanes: Any) -> list[list[float]]:
-        """(T, COLUMNS): the ego and the cars that are seen or missed, to read at once and not to change. An observation
-        of the same tick again, or of an earlier one, begins anew, as does one of another epoch or road.
-
-        seen: (V, 9) rows of the observation; lanes: (L, 8) as `lane_table`.
-        """
-        ticks = observation.tick - self._tick
-        another = observation.epoch != self._epoch or len(lanes) != self._lanes
-        if another or ticks <= 0 or ticks > REMEMBER_S * observation.hz:
-            self._epoch, self._tracks, self._noise = observation.epoch, [], [0.0] * N_NOISE
-            ticks = 1
-        self._tick, self._lanes = observation.tick, len(lanes)
-        while len(self._tracks) < len(seen) + SPARE:
-            self._tracks.append([float(NOBODY)] + [0.0] * (COLUMNS - 1))
-        follow(self._tracks, self._noise, seen, lanes, observation.sight_m, ticks / observation.hz)
-        return [t for t in self._tracks if t[ID] != NOBODY]

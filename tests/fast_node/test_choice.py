@@ -212,7 +212,9 @@ def lead(gap: float, speed: float = 10.0, in_lane: int = 1) -> list[float]:
     return car(500.0 + gap + 6.0, speed, in_lane)
 
 
-def worth(ahead: list[float] | None, aim: int, own: int, headway: float = 1.5, speed: float = 20.0, **road: Any) -> bool:
+def worth(
+    ahead: list[float] | None, aim: int, own: int, headway: float = 1.5, speed: float = 20.0, **road: Any
+) -> bool:
     lanes = road.get("lanes", HIGHWAY)
     near = [-1] * (3 * len(lanes))
     if ahead:
@@ -331,8 +333,7 @@ def test_on_a_ramp_the_speed_is_what_may_be_driven_where_it_opens(x, speed):
 
 
 @pytest.mark.parametrize(
-    ("accel", "speed"),
-    [(0.0, 19.9), (1.0, 19.9), (-1.0, 18.9), (-1.89, 18.01), (-1.95, 18.0), (-6.0, 18.0)],
+    ("accel", "speed"), [(0.0, 19.9), (1.0, 19.9), (-1.0, 18.9), (-1.89, 18.01), (-1.95, 18.0), (-6.0, 18.0)]
 )
 def test_comfort_brakes_with_two_and_comes_to_that_slowly(accel, speed):
     # A tenth of a metre per second squared more each tick: 1.5 m/s3.

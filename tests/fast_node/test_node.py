@@ -15,7 +15,7 @@ from fast_node.config import FastConfig
 from fast_node.mask import OPEN, PRESETS, lane_table
 from fast_node.node import FastNode
 from fast_node.policies.attention import load_attention
-from schemas.driving.tracks import Tracks
+from fast_node.tracks import Tracks
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import Directive, Manoeuvre, MetaAction, Observation, Style
 from tests.mask_scenes import ROADS, ROADS_BY_HAND, SIGHT_M, Scene, judge, presets, scenes

@@ -138,7 +138,9 @@ STYLES = pytest.mark.parametrize(("style", "most", "jerk"), [(0, 1.2, 1.0), (1, 
 """Calm, normal, assertive: what the ego speeds up with, and how fast it comes to that [m/s2, m/s3]."""
 
 
-def accelerated(speed: float, target: float, last: float, style: int = 1, meta: MetaAction = MetaAction.CRUISE) -> float:
+def accelerated(
+    speed: float, target: float, last: float, style: int = 1, meta: MetaAction = MetaAction.CRUISE
+) -> float:
     return executor.acceleration_command(speed, target, last, int(meta), style, DT)
 
 

@@ -10,7 +10,19 @@ from fast_node.mask import PRESETS
 from fast_node.mask.lane_end import OUT_M
 from schemas.driving.road import LANE_END, LANE_Y
 from schemas.wire.messages import MetaAction
-from tests.mask_scenes import EAGER, RAMP, accels, ahead_by, capped, car, closed_on, every_preset, in_lane, likings, steady
+from tests.mask_scenes import (
+    EAGER,
+    RAMP,
+    accels,
+    ahead_by,
+    capped,
+    car,
+    closed_on,
+    every_preset,
+    in_lane,
+    likings,
+    steady,
+)
 
 
 def test_the_end_of_the_ramp_slows_the_ego_down_and_then_stops_it():

@@ -315,9 +315,7 @@ def test_the_ego_stops_where_it_can_just_stop_before_the_end(x, shut):
     assert [found.get(a) == (ENDS, -1) for a in (SLOW_DOWN, CRUISE)] == [shut] * 2
 
 
-@pytest.mark.parametrize(
-    ("speed", "shut"), [(4.79, set()), (4.81, {SPEED_UP}), (4.9, {SPEED_UP}), (20.0, {SPEED_UP})]
-)
+@pytest.mark.parametrize(("speed", "shut"), [(4.79, set()), (4.81, {SPEED_UP}), (4.9, {SPEED_UP}), (20.0, {SPEED_UP})])
 def test_the_set_point_comes_down_before_the_end(speed, shut):
     # 10 m before 20 m before the end: sqrt(2.4 * 10) = 4.899.
     found = closed(car(0, 320, 2, 1), *BLOCKED, lanes=RAMP, lane=2, speed=speed)
