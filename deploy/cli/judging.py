@@ -48,6 +48,14 @@ def evaluate(
         ),
     ] = None,
     density: Annotated[float, typer.Option(help="Of the traffic: times the road's own, 0.2 to 3.")] = 1.0,
+    traffic: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME[,NAME...]",
+            help="Other traffic: idm30, hard-brakes, trucks, narrow, sway, or several.",
+            show_default="the road's own",
+        ),
+    ] = "",
     everything: Annotated[bool, typer.Option("--all", help="Every agent on every scenario.")] = False,
     checkpoint: Annotated[
         list[Path] | None,
@@ -136,6 +144,7 @@ def evaluate(
             directive_at_s=directive_at,
             mask_preset=mask_preset,
             density=density,
+            traffic=[name for name in traffic.split(",") if name],
             wishes_mps=wish or [None],
             progress=lambda text: typer.echo(text, err=True),
             each=each,

@@ -33,6 +33,7 @@ def evaluate_all(
     directive_at_s: float = 0.0,
     mask_preset: str | None = None,
     density: float = 1.0,
+    traffic: Sequence[str] = (),
     wishes_mps: Sequence[float | None] = (None,),
     progress: Callable[[str], None] = lambda _: None,
     each: list[Episode] | None = None,
@@ -41,7 +42,7 @@ def evaluate_all(
     `first_seed`; per scenario the seeds that nobody survived. The result's own `wish_mps` is None for several wishes.
 
     `scenarios`: names or files, as `find_scenario` takes them. `directive_at_s`, `mask_preset`: see `drive`. `density`:
-    times each scenario's own.
+    times each scenario's own. `traffic`: as `Scenario.varied` takes it.
 
     `policies`, as `load_policy` takes them, drive behind the mask and are agents under these names. Without agents and
     policies the one whose policy is in `checkpoint` drives, or ours. Raises `ConfigError` for a checkpoint that none
@@ -56,7 +57,7 @@ def evaluate_all(
     rows, unsurvived = [], {}
     for scenario in [find_scenario(spec) for spec in scenarios]:
         name = scenario.name
-        road = scenario if density == 1.0 else scenario.denser(density)
+        road = (scenario if density == 1.0 else scenario.denser(density)).varied(traffic)
         died = set(range(episodes))
         drivers = [*((agent, False) for agent in agents), *((spec, True) for spec in policies)]
         for (agent, is_policy), wish_mps in itertools.product(drivers, wishes_mps):
@@ -90,6 +91,7 @@ def evaluate_all(
                     "wish_mps": wish_mps,
                     "first_seed": first_seed,
                     "density": density,
+                    "traffic": list(traffic),
                     "directive_at_s": directive_at_s,
                     "mask_preset": mask_preset,
                     "success_ci95": wilson95(good, episodes),
