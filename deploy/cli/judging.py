@@ -26,8 +26,9 @@ def evaluate(
     agent: Annotated[
         list[str] | None,
         typer.Option(
-            help="Who drives; may be repeated: see the table it prints. dilu-paused and dilu-running ask a language "
-            "model every second: minutes per episode.",
+            help="Who drives; may be repeated: see the table it prints. constant:best is chosen of 120 "
+            "orders first; dilu-paused and dilu-running ask a language "
+            "model every second: both take minutes.",
             show_default="whom --checkpoint was trained as, or ours",
         ),
     ] = None,

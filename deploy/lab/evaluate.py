@@ -8,9 +8,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from deploy.lab.agents import LANGUAGE, USE_OURS, behind_the_mask, drive, trained_as
+from deploy.lab.agents import LANGUAGE, USE_OURS, Agent, behind_the_mask, drive, trained_as
 from deploy.lab.episodes import FIRST_SEED, Directive
 from deploy.lab.language_driver import drive_dilu, memory, running_model
+from deploy.lab.orders import BEST, best_order
 from deploy.lab.paired import Episode, episode_of
 from deploy.lab.statistics import wilson95
 from schemas.runtime.process import ConfigError
@@ -68,16 +69,18 @@ def evaluate_all(
                     raise ValueError(f"{agent} has its directive from the start, and no mask")
                 results, more["llm"] = _drive_language(agent, road, seeds, directive, wish_mps)
             else:
-                results = drive(
-                    behind_the_mask(agent) if is_policy else agent,
-                    road,
-                    seeds,
-                    checkpoint=None if is_policy else checkpoint,
-                    directive=directive,
-                    wish_mps=wish_mps,
-                    directive_at_s=directive_at_s,
-                    mask_preset=mask_preset,
-                )
+                conditions: dict[str, Any] = {
+                    "directive": directive,
+                    "wish_mps": wish_mps,
+                    "directive_at_s": directive_at_s,
+                    "mask_preset": mask_preset,
+                }
+                who: str | Agent = behind_the_mask(agent) if is_policy else agent
+                if agent == BEST:
+                    more["order"] = best_order(road, **conditions)
+                    who = behind_the_mask(more["order"])
+                own_file = None if is_policy or agent == BEST else checkpoint
+                results = drive(who, road, seeds, checkpoint=own_file, **conditions)
             if each is not None:
                 place = {"scenario": name, "agent": agent, "wish_mps": wish_mps, "directive": directive}
                 each += [episode_of(place, seed, r) for seed, r in zip(seeds, results, strict=True)]
