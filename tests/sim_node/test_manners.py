@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from schemas.driving.measures import CAR_LENGTH_M
 from sim_node.scenarios import SCENARIOS
 from sim_node.scenarios import manners as m
 from sim_node.scenarios.scenario import streams
@@ -30,7 +31,7 @@ def test_what_is_drawn_lies_within_its_ranges() -> None:
         braking = table[table[:, m.HARD_MPS2] > 0.0]
         assert ((braking[:, m.HARD_MPS2] >= 6.0) & (braking[:, m.HARD_MPS2] <= 9.0)).all()
         assert (spawn.x[1:][table[:, m.HARD_MPS2] > 0.0] > spawn.x[0]).all()
-        trucks = table[table[:, m.CAR_LENGTH] != m.CAR_LENGTH_M][:, m.CAR_LENGTH]
+        trucks = table[table[:, m.CAR_LENGTH] != CAR_LENGTH_M][:, m.CAR_LENGTH]
         assert ((trucks >= 12.0) & (trucks <= 16.5)).all()
 
 
