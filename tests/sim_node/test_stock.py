@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -25,8 +27,8 @@ def test_the_cars_are_those_that_upstream_makes_from_the_same_generator(name: st
 def test_the_lanes_lie_where_upstreams_do(name: str) -> None:
     theirs, ours = KINDS[name]().road.network.lanes_list(), network(SCENARIOS[name]).lanes_list()
 
-    def table(lanes: list[object]) -> list[tuple[object, ...]]:
-        return sorted((*lane.start, *lane.end, lane.width, lane.speed_limit, lane.forbidden) for lane in lanes)  # type: ignore[attr-defined]
+    def table(lanes: list[Any]) -> list[tuple[float, ...]]:
+        return sorted((*lane.start, *lane.end, lane.width, lane.speed_limit, lane.forbidden) for lane in lanes)
 
     assert np.allclose(table(theirs), table(ours))
 
