@@ -26,8 +26,9 @@ def evaluate(
     agent: Annotated[
         list[str] | None,
         typer.Option(
-            help="Who drives; may be repeated: see the table it prints. dilu-paused and dilu-running ask a language "
-            "model every second: minutes per episode.",
+            help="Who drives; may be repeated: see the table it prints. constant:best is chosen of 120 "
+            "orders first; dilu-paused and dilu-running ask a language "
+            "model every second: both take minutes.",
             show_default="whom --checkpoint was trained as, or ours",
         ),
     ] = None,
@@ -48,6 +49,14 @@ def evaluate(
         ),
     ] = None,
     density: Annotated[float, typer.Option(help="Of the traffic: times the road's own, 0.2 to 3.")] = 1.0,
+    traffic: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME[,NAME...]",
+            help="Other traffic: idm30, hard-brakes, trucks, narrow, sway, or several.",
+            show_default="the road's own",
+        ),
+    ] = "",
     everything: Annotated[bool, typer.Option("--all", help="Every agent on every scenario.")] = False,
     checkpoint: Annotated[
         list[Path] | None,
@@ -139,6 +148,7 @@ def evaluate(
             directive_at_s=directive_at,
             mask_preset=mask_preset,
             density=density,
+            traffic=[name for name in traffic.split(",") if name],
             wishes_mps=wish or [None],
             noise_m=noise_m,
             noise_mps=noise_mps,

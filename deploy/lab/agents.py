@@ -101,7 +101,7 @@ def drive(
     if directive not in DIRECTIVES:
         raise ValueError(f"directive {directive!r} is not one of: {', '.join(DIRECTIVES)}")
     if isinstance(agent, str) and agent not in AGENTS:
-        raise ValueError(f"agent {agent!r} is not one of: {', '.join([*AGENTS, *LANGUAGE])}")
+        raise ValueError(f"agent {agent!r} is not one of: {', '.join([*AGENTS, *LANGUAGE, 'constant:best'])}")
     name, who = (agent, AGENTS[agent]) if isinstance(agent, str) else ("", agent)
     own = trained_as(checkpoint) if checkpoint else None
     replaced = checkpoint if own == name or (own == "ours" and who.policy == OURS) else None

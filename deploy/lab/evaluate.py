@@ -8,9 +8,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from deploy.lab.agents import LANGUAGE, USE_OURS, behind_the_mask, drive, trained_as
+from deploy.lab.agents import LANGUAGE, USE_OURS, Agent, behind_the_mask, drive, trained_as
 from deploy.lab.episodes import FIRST_SEED, Directive
 from deploy.lab.language_driver import drive_dilu, memory, running_model
+from deploy.lab.orders import BEST, best_order
 from deploy.lab.paired import Episode, episode_of
 from deploy.lab.statistics import wilson95
 from schemas.runtime.process import ConfigError
@@ -33,6 +34,7 @@ def evaluate_all(
     directive_at_s: float = 0.0,
     mask_preset: str | None = None,
     density: float = 1.0,
+    traffic: Sequence[str] = (),
     wishes_mps: Sequence[float | None] = (None,),
     noise_m: float = 0.0,
     noise_mps: float = 0.0,
@@ -44,7 +46,7 @@ def evaluate_all(
     `first_seed`; per scenario the seeds that nobody survived. The result's own `wish_mps` is None for several wishes.
 
     `scenarios`: names or files, as `find_scenario` takes them. `directive_at_s`, `mask_preset`: see `drive`. `density`:
-    times each scenario's own.
+    times each scenario's own. `traffic`: as `Scenario.varied` takes it.
 
     `policies`, as `load_policy` takes them, drive behind the mask and are agents under these names. Without agents and
     policies the one whose policy is in `checkpoint` drives, or ours. Raises `ConfigError` for a checkpoint that none
@@ -60,7 +62,7 @@ def evaluate_all(
     rows, unsurvived = [], {}
     for scenario in [find_scenario(spec) for spec in scenarios]:
         name = scenario.name
-        road = scenario if density == 1.0 else scenario.denser(density)
+        road = (scenario if density == 1.0 else scenario.denser(density)).varied(traffic)
         died = set(range(episodes))
         drivers = [*((agent, False) for agent in agents), *((spec, True) for spec in policies)]
         for (agent, is_policy), wish_mps in itertools.product(drivers, wishes_mps):
@@ -73,19 +75,21 @@ def evaluate_all(
                     raise ValueError(f"{agent} sees everything as it is: leave noise and dropout out")
                 results, more["llm"] = _drive_language(agent, road, seeds, directive, wish_mps)
             else:
-                results = drive(
-                    behind_the_mask(agent) if is_policy else agent,
-                    road,
-                    seeds,
-                    checkpoint=None if is_policy else checkpoint,
-                    directive=directive,
-                    wish_mps=wish_mps,
-                    directive_at_s=directive_at_s,
-                    mask_preset=mask_preset,
-                    noise_m=noise_m,
-                    noise_mps=noise_mps,
-                    dropout=dropout,
-                )
+                conditions: dict[str, Any] = {
+                    "directive": directive,
+                    "wish_mps": wish_mps,
+                    "directive_at_s": directive_at_s,
+                    "mask_preset": mask_preset,
+                    "noise_m": noise_m,
+                    "noise_mps": noise_mps,
+                    "dropout": dropout,
+                }
+                who: str | Agent = behind_the_mask(agent) if is_policy else agent
+                if agent == BEST:
+                    more["order"] = best_order(road, **conditions)
+                    who = behind_the_mask(more["order"])
+                own_file = None if is_policy or agent == BEST else checkpoint
+                results = drive(who, road, seeds, checkpoint=own_file, **conditions)
             if each is not None:
                 place = {"scenario": name, "agent": agent, "wish_mps": wish_mps, "directive": directive}
                 each += [episode_of(place, seed, r) for seed, r in zip(seeds, results, strict=True)]
@@ -99,6 +103,7 @@ def evaluate_all(
                     "wish_mps": wish_mps,
                     "first_seed": first_seed,
                     "density": density,
+                    "traffic": list(traffic),
                     "directive_at_s": directive_at_s,
                     "mask_preset": mask_preset,
                     "success_ci95": wilson95(good, episodes),

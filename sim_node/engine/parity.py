@@ -40,7 +40,7 @@ STOCK: dict[str, tuple[str, dict[str, Any]]] = {
     "highway-v0, 20 vehicles": ("highway-v0", {"vehicles_count": 20}),
     "highway-v0, 50 vehicles": ("highway-v0", {"vehicles_count": 50}),
     "merge-v1": ("merge-v1", {}),
-    "two-way-v0": ("two-way-v0", {}),
+    "two-way-v0, stock ego": ("two-way-v0", {}),
 }
 OURS: dict[str, Scenario] = {
     **SCENARIOS,

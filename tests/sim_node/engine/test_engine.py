@@ -38,7 +38,7 @@ AccelEnv = accelerate(HighwayEnv)
         ("highway-v0, 20 vehicles", 2, 5.0),
         ("highway-v0, 50 vehicles", 0, 4.0),
         ("merge-v1", 0, 8.0),
-        ("two-way-v0", 0, 12.0),
+        ("two-way-v0, stock ego", 0, 12.0),
         *((name, 1, 6.0) for name in SCENARIOS),
     ],
 )
@@ -49,7 +49,7 @@ def test_both_variants_equal_highway_env_to_the_last_bit(case: str, seed: int, s
 
 
 def test_they_stay_equal_through_crashes() -> None:
-    accelerated, batched = parity.compare("two-way-v0", 1, 12.0)
+    accelerated, batched = parity.compare("two-way-v0, stock ego", 1, 12.0)
     assert accelerated.crashes > 0
     assert accelerated.identical
     assert batched.identical
