@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from fast_node import choice, mask
 from fast_node.choice import HELD, MASKED
-from fast_node.mask.vocabulary import AHEAD, FACING
+from schemas.driving.episode import REDIRECT_PER_S, Decision, Ending, Goal, closeness, ending, flags, replaced
 from schemas.driving.features import FEATURES, N_ROWS, Array, policy_input
 from schemas.driving.intent import ANY_LANE, intended_lane
-from schemas.driving.measures import TTC_CAP_S, ttc_s
-from schemas.driving.reward import reward, shortfall
-from schemas.driving.road import DECISION_TICKS, LANE, LANE_END, LANE_Y, VX, X, gap_between
+from schemas.driving.measures import TTC_CAP_S
+from schemas.driving.road import DECISION_TICKS, HZ, LANE_END, LANE_Y, X
 from schemas.runtime.compiled import compiled
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 
@@ -74,19 +73,7 @@ def _look_all(
                 v_des[s],
                 headway[s],
             )
-        ttc[s] = TTC_CAP_S
-        short[s] = 0.0
-        ego = rows[s, 0]
-        lead = near[s, 3 * target_lane[s] + AHEAD]
-        if lead >= 0:
-            short[s] = shortfall(gap_between(ego, rows[s, lead]), ego[VX], headway[s])
-        for lane in (int(ego[LANE]), target_lane[s]):
-            for k in (AHEAD, FACING):
-                i = near[s, 3 * lane + k]
-                if i >= 0:
-                    gap = gap_between(ego, rows[s, i])
-                    if gap > 0.0:
-                        ttc[s] = min(ttc[s], ttc_s(gap, ego[VX] - rows[s, i, VX]))
+        ttc[s], short[s] = closeness(rows[s], target_lane[s], headway[s])
 
 
 def _observe_all(
@@ -145,8 +132,7 @@ class Task:
     sight_m: float
     speed_range: float
     duration_ticks: int
-    goal: tuple[float, tuple[int, ...], float]
-    """An episode is over beyond x = goal[0] in one of the lanes goal[1], and anywhere beyond goal[2]."""
+    goal: Goal
     draw: Callable[[np.random.Generator, Array, int], tuple[int, int, float, float]]
     """A random directive for rows (V, 9) and a home lane: lane, id of the car to pass or -1, speed, headway."""
     preset: str = "sim"
@@ -221,10 +207,7 @@ class Fleet:
 
     def over(self) -> Bools:
         """Where the ego has crashed, reached its goal or come to the road's end."""
-        ego = self.world.rows[:, 0]
-        x, lanes, end = self.task.goal
-        reached = (ego[:, X] > x) & np.isin(ego[:, LANE], lanes)
-        return np.asarray(self.world.crashed | reached | (ego[:, X] > end))
+        return np.asarray(ending(self.world.crashed, self.world.rows[:, 0], self.task.goal) != Ending.NONE)
 
 
 class Scenes(Fleet):
@@ -269,49 +252,19 @@ class Scenes(Fleet):
         """One decision: the action first, then held unless the mask closes that: reward, terminated, truncated."""
         w = self.world
         s = len(action)
-        each = np.arange(s)
-        braked, effort, short, ttc = np.zeros(s, np.bool_), np.zeros(s), np.zeros(s), np.full(s, TTC_CAP_S)
-        start_x = w.rows[:, 0, X].copy()
+        hold = np.full(s, int(MetaAction.CRUISE))
+        decision = Decision(action, w.rows[:, 0, X])
         for k in range(self._ticks):
-            is_open = self.rule == mask.OPEN
-            meta = action if k == 0 else np.full(s, MetaAction.CRUISE)
-            fine = is_open[each, meta]
-            for a in (
-                MetaAction.EMERGENCY_BRAKE,
-                MetaAction.RIGHT,
-                MetaAction.LEFT,
-                MetaAction.SPEED_UP,
-                MetaAction.SLOW_DOWN,
-            ):
-                if not fine.all():
-                    meta = np.where(~fine & is_open[:, a], int(a), meta)
-            braked |= meta == MetaAction.EMERGENCY_BRAKE
-            w.tick(meta.astype(np.int64), self.v_des)
-            effort += w.accel**2
+            meta = replaced(action if k == 0 else hold, self.rule == mask.OPEN)
+            w.tick(meta, self.v_des)
             self.look()
-            ttc = np.minimum(ttc, self.ttc_s)
-            short += self.short / self._ticks
+            there = (self.wish == ANY_LANE) | (w.target_lane == self.wish)
+            over = ending(w.crashed, w.rows[:, 0], self.task.goal)
+            decision.tick(meta, w.rows[:, 0], w.accel, self.ttc_s, self.short, there, over)
         self.age += 1
-        seconds = self._ticks / DECISION_TICKS
-        speed = (w.rows[:, 0, X] - start_x).astype(np.float64) / seconds
-        earned = reward(
-            speed,
-            self.v_des,
-            self.task.speed_range,
-            effort / self._ticks,
-            action != MetaAction.CRUISE,
-            (self.wish == ANY_LANE) | (w.target_lane == self.wish),
-            ttc,
-            short,
-            braked,
-            w.crashed,
-            seconds,
-        )
-        over = self.over()
-        terminated = w.crashed.copy()
-        # The goal and the road's end cut an episode off: what would come after is worth what the value says.
-        truncated = ((self.age * self._ticks >= self.task.duration_ticks) | over) & ~terminated
-        again = (self._rng.random(s) < 0.03 * seconds) & ~terminated & ~truncated
+        earned = decision.earned(self.v_des, self.task.speed_range)
+        terminated, truncated = flags(decision.over, self.age * self._ticks >= self.task.duration_ticks)
+        again = (self._rng.random(s) < REDIRECT_PER_S * self._ticks / HZ) & ~terminated & ~truncated
         if again.any():
             self._direct(again)
             self.look()

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from schemas.driving.episode import Goal
 from schemas.driving.intent import ANY_LANE
 from schemas.driving.measures import CAR_LENGTH_M, rss_same_direction_m
 from schemas.driving.road import NOBODY, lead_id
@@ -206,6 +207,11 @@ class Scenario:
                 for f in self.flows
             ),
         )
+
+    @property
+    def goal(self) -> Goal:
+        """Where an episode ends."""
+        return Goal(self.success.reach_x_m, self.success.reach_lanes, self.end_x_m)
 
     @property
     def vehicles_max(self) -> int:
