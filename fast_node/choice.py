@@ -167,7 +167,7 @@ def choose(logits: Any, rule: Any, due: bool, held: int) -> tuple[int, int]:
     else what is nearest to it: the speed holds, falls, rises, and at last the lane is changed.
     """
     if not due:
-        for a in (held, CRUISE, SLOW_DOWN, SPEED_UP, LEFT, RIGHT):
+        for a in (held, CRUISE, SLOW_DOWN, SPEED_UP, RIGHT, LEFT):
             if rule[a] == OPEN:
                 return a, HELD if a in (held, CRUISE) else WISHED if rule[CRUISE] == NOT_WISHED else MASKED
         return BRAKE, MASKED

@@ -10,7 +10,7 @@ from fast_node.coordination import Coordination
 from fast_node.mask import OPEN, PRESETS, Preset, close_actions
 from fast_node.policies.policy import Policy
 from fast_node.tracks import Tracks
-from schemas.driving.actions import held
+from schemas.driving.episode import MILDEST, held
 from schemas.driving.features import Array, features
 from schemas.driving.intent import ANY_LANE, Intent
 from schemas.driving.road import LANE_END, LANE_WAY, LANE_Y, NOBODY, X, lane_table
@@ -195,7 +195,7 @@ def fallback(rule: list[int], lanes: list[tuple[float, ...]], target_lane: int) 
     """The rule that drives when the policy cannot: home from a borrowed lane, slower if need be, else hold."""
     if lanes[target_lane][LANE_WAY] < 0 and rule[MetaAction.RIGHT] == OPEN:
         return MetaAction.RIGHT
-    for action in (MetaAction.CRUISE, MetaAction.SLOW_DOWN, MetaAction.SPEED_UP, MetaAction.RIGHT, MetaAction.LEFT):
+    for action in MILDEST:
         if rule[action] == OPEN:
             return action
     return MetaAction.EMERGENCY_BRAKE

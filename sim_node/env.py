@@ -14,16 +14,16 @@ from highway_env.envs.common.observation import ObservationType
 from highway_env.road.road import Road
 from numpy.typing import NDArray
 
-from schemas.driving.actions import held
+from schemas.driving.episode import Decision, Ending, closeness, ending, flags, held
 from schemas.driving.features import BOUND, FEATURES, N_ROWS, features
 from schemas.driving.intent import ANY_LANE, Intent
-from schemas.driving.road import HZ
+from schemas.driving.road import HZ, X
 from schemas.wire.messages import POLICY_ACTIONS, Lane, MetaAction, Observation
 from sim_node import executor
 from sim_node.drawing import picture
 from sim_node.ego import EgoVehicle
 from sim_node.engine.accelerated import Accelerated
-from sim_node.episode import Wishes, earned, has_reached, populate
+from sim_node.episode import Wishes, populate
 from sim_node.observe import perceived, rows
 from sim_node.road import LaneMap, has_left, network
 from sim_node.scenarios import SCENARIOS, Scenario
@@ -42,15 +42,15 @@ class _Features(ObservationType):  # type: ignore[misc]
     def observe(self) -> NDArray[np.float32]:
         env: ScenarioEnv = self.env
         wish, ego = env.wish, env.ego
-        lanes, able = env.published_lanes(), env.action_masks()
+        lanes, able, table = env.published_lanes(), env.action_masks(), env.seen().tolist()
         return features(
-            env.seen().tolist(),
+            table,
             math.nan if wish.lane == ANY_LANE else lanes[wish.lane].y_m,
             wish.speed_mps,
             wish.headway_s,
             ego.target_speed,
             ego.previous_lane >= 0,
-            lanes[ego.target_lane].end_m - float(ego.position[0]),
+            lanes[ego.target_lane].end_m - table[0][X],
             ego.speed_cap,
             bool(able[MetaAction.LEFT]),
             bool(able[MetaAction.RIGHT]),
@@ -74,8 +74,9 @@ class _MetaActions(ActionType):  # type: ignore[misc]
 class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
     """One scenario: `reset`, `step` one decision, 5-tuple, action mask in `info["action_mask"]`.
 
-    Terminates on a crash, at the road's end or when the place to reach is reached; truncates after `duration_s`
-    (None: never). Each episode has a random directive, changed now and then, unless one is set with `direct`.
+    Terminates on a crash; truncates at the road's end, where the place to reach is reached, after `duration_s` (None:
+    never): see `schemas.driving.episode`, which training shares. Each episode has a random directive, changed now and
+    then, unless one is set with `direct`.
     """
 
     def __init__(
@@ -180,28 +181,44 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
 
     def step(self, action: int) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One decision: the action at its first tick, then the set-points hold; the guard watches every tick."""
-        effort, jolt, distance, braked = 0.0, 0.0, float(self.ego.position[0]), False
+        ego = self.ego
+        decision = Decision(np.array([int(action)]), self.rows()[:1, X], np.array([ego.acceleration]))
         for k in range(self._ticks_per_decision):
             meta = int(action) if k == 0 else held(int(action))
             if self.guard is not None:
                 meta = self.guard(self, meta)
-            braked = braked or meta == MetaAction.EMERGENCY_BRAKE
-            before = self.ego.acceleration
+            ego.speed_goal = self.wish.speed_mps
             self.tick(meta)
-            jolt += ((self.ego.acceleration - before) * self.hz) ** 2
-            effort += self.ego.acceleration**2
-            if self._is_terminated():
+            table = self.rows().tolist()
+            self._wishes.update(table)
+            wish = self.wish
+            ttc, short = closeness(table, ego.target_lane, wish.headway_s)
+            decision.tick(
+                np.array([meta]),
+                self.rows()[:1],
+                np.array([ego.acceleration]),
+                np.array([ttc]),
+                np.array([short]),
+                np.array([wish.lane in (ANY_LANE, ego.target_lane)]),
+                np.array([int(self.ending())]),
+            )
+            if self.ending() != Ending.NONE:
                 break
-        seconds = (k + 1) / self.hz
-        speed = (float(self.ego.position[0]) - distance) / seconds
-        worth = earned(
-            self.rows(), self.ego, self.wish, int(action), speed, effort / (k + 1), jolt / (k + 1), braked, seconds
+        worth = float(
+            decision.earned(
+                np.array([wish.speed_mps]),
+                0.5 * self.scenario.ego.speed_ceiling_mps,
+                self.hz,
+                to_reach=bool(self.scenario.success.reach_lanes),
+            )[0]
         )
-        self._wishes.follow(self.rows().tolist(), self.ego.target_lane, self._ticks_per_decision / self.hz)
+        terminated, truncated = self._is_terminated(), self._is_truncated()
+        if not terminated and not truncated:
+            self._wishes.follow(table, ego.target_lane, self._ticks_per_decision / self.hz)
         observation = self.observation_type.observe()
         if self.render_mode == "human":
             self.render()
-        return (observation, worth, self._is_terminated(), self._is_truncated(), self._info(observation, int(action)))
+        return (observation, worth, terminated, truncated, self._info(observation, int(action)))
 
     def seen_at(self, epoch: int, tick: int, now_ns: int, applied_tick: int) -> Observation:
         """What the ego sees now, as the message of this tick."""
@@ -291,12 +308,17 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
             "wish": self.wish,
         }
 
-    def reached(self) -> bool:
-        """Whether the ego is past the place that the scenario wants reached, in a lane that counts."""
-        return has_reached(self.scenario, self.lane_map, self.ego)
+    def ending(self) -> Ending:
+        """Why the episode is over now, time apart."""
+        return Ending(int(ending(np.array([bool(self.ego.crashed)]), self.rows()[:1], self.scenario.goal)[0]))
+
+    def _flags(self) -> tuple[bool, bool]:
+        timed_out = self._duration_s is not None and self.steps >= round(self._duration_s * self.hz)
+        terminated, truncated = flags(np.array([int(self.ending())]), np.array([timed_out]))
+        return bool(terminated[0]), bool(truncated[0])
 
     def _is_terminated(self) -> bool:
-        return bool(self.ego.crashed or self.ego.position[0] > self.scenario.end_x_m or self.reached())
+        return self._flags()[0]
 
     def _is_truncated(self) -> bool:
-        return self._duration_s is not None and self.steps >= round(self._duration_s * self.hz)
+        return self._flags()[1]

@@ -1,4 +1,4 @@
-"""An episode on highway-env's objects: who is on the road, what is wished, what it earns, when its goal is reached."""
+"""An episode on highway-env's objects: who is on the road, and what is wished."""
 
 from __future__ import annotations
 
@@ -9,22 +9,15 @@ import numpy as np
 from highway_env.road.road import Road
 from highway_env.vehicle.objects import Obstacle
 from numpy.random import Generator
-from numpy.typing import NDArray
 
+from schemas.driving.episode import REDIRECT_PER_S
 from schemas.driving.intent import ANY_LANE, Intent, intended_lane
-from schemas.driving.measures import TTC_CAP_S
-from schemas.driving.reward import reward, shortfall
 from schemas.driving.road import NOBODY, lead_id
-from schemas.wire.messages import MetaAction
 from sim_node.ego import EgoVehicle
-from sim_node.metrics import CLOSING_MIN_MPS, leader
 from sim_node.road import LaneMap, lane_index
 from sim_node.scenarios import Scenario
 from sim_node.scenarios.scenario import Spawn, draw_wish
 from sim_node.traffic import TrafficVehicle
-
-REDIRECT_PER_S = 0.03
-"""How often a training episode gets another directive on its way."""
 
 
 def populate(road: Road, scenario: Scenario, lanes: LaneMap, spawn: Spawn, dt: float) -> EgoVehicle:
@@ -70,7 +63,7 @@ class Wishes:
         self._rng = rng
         if not self._fixed:
             self._told = draw_wish(rng, self._scenario, rows, lane)
-        self._update(rows)
+        self.update(rows)
 
     def direct(self, rows: Any, home: int, lane: int, speed_mps: float, headway_s: float, overtake: bool) -> None:
         """Set the directive for good: see `ScenarioEnv.direct`."""
@@ -79,58 +72,17 @@ class Wishes:
         speed = self._scenario.ego.speed_ceiling_mps if math.isnan(speed_mps) else speed_mps
         self._fixed = True
         self._told = (home, lead_id(rows, home), speed, headway_s) if overtake else (lane, NOBODY, speed, headway_s)
-        self._update(rows)
+        self.update(rows)
 
     def follow(self, rows: Any, lane: int, seconds: float) -> None:
-        """After `seconds`: perhaps another directive; and the wish that the directive comes down to now."""
+        """After a decision of `seconds` that was not the last: perhaps another directive."""
         if not self._fixed and self._rng.random() < REDIRECT_PER_S * seconds:
             self._told = draw_wish(self._rng, self._scenario, rows, lane)
-        self._update(rows)
+            self.update(rows)
 
-    def _update(self, rows: Any) -> None:
+    def update(self, rows: Any) -> None:
+        """At every tick: the wish that the directive comes down to now."""
         lane, passed, speed, headway = self._told
         if passed >= 0:
             lane = intended_lane(rows, lane, passed)
         self.now = Intent(lane, speed, headway)
-
-
-def earned(
-    rows: NDArray[np.float32],
-    ego: EgoVehicle,
-    wish: Intent,
-    action: int,
-    speed: float,
-    accel_square: float,
-    jerk_square: float,
-    braked: bool,
-    seconds: float,
-) -> float:
-    """The reward of one decision, from the state at its end; see `schemas.driving.reward` for the arguments."""
-    one = np.asarray
-    gap, closing = leader(rows[None], np.array([ego.target_lane]))
-    ttc = float(gap[0] / closing[0]) if closing[0] > CLOSING_MIN_MPS else TTC_CAP_S
-    short = shortfall(float(gap[0]), speed, wish.headway_s) if np.isfinite(gap[0]) else 0.0
-    return float(
-        reward(
-            one(speed),
-            one(wish.speed_mps),
-            0.5 * ego.scenario.ego.speed_ceiling_mps,
-            one(accel_square),
-            one(jerk_square),
-            one(action != MetaAction.CRUISE),
-            one(action >= MetaAction.LEFT),
-            one(wish.lane in (ANY_LANE, ego.target_lane)),
-            one(ttc),
-            one(short),
-            one(braked),
-            one(ego.crashed),
-            seconds,
-        )
-    )
-
-
-def has_reached(scenario: Scenario, lanes: LaneMap, ego: EgoVehicle) -> bool:
-    """Whether the ego is past the place that the scenario wants reached, in a lane that counts."""
-    goal = scenario.success
-    x, y = ego.position
-    return bool(goal.reach_lanes) and x > goal.reach_x_m and lanes.lane_at(float(x), float(y)) in goal.reach_lanes

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
+from schemas.driving.episode import Ending
 from schemas.driving.measures import TTC_CAP_S
 from schemas.driving.road import LANE
 from schemas.wire.messages import Action, Event, EventKind, MetaAction, Observation
@@ -19,6 +20,7 @@ from sim_node.metrics import Recorder
 HOLD_TICKS = 2
 """Without an answer, the set-points hold for this many ticks; from the next one on the ego brakes."""
 FAILSAFE_BRAKE_MPS2 = 2.5
+_SAID = {Ending.COLLISION: "collision", Ending.GOAL: "goal reached", Ending.ROAD_END: "road end"}
 _YES = np.ones(1, np.bool_)
 
 
@@ -182,12 +184,8 @@ class SimNode:
         )
         m.passed += bool(self._recorder.passed[0]) and not before
         m.min_ttc_s = min(m.min_ttc_s, float(self._recorder.min_ttc[0]))
-        if ego.crashed:
-            self.over = "collision"
-            m.collisions += 1
-            m.struck += bool(self._recorder.struck[0])
-        elif env.reached():
-            self.over = "goal reached"
-            m.reached += 1
-        elif ego.position[0] > env.scenario.end_x_m:
-            self.over = "road end"
+        over = env.ending()
+        self.over = _SAID.get(over, "")
+        m.collisions += over == Ending.COLLISION
+        m.struck += over == Ending.COLLISION and bool(self._recorder.struck[0])
+        m.reached += over == Ending.GOAL

@@ -55,7 +55,7 @@ def task_of(scenario: Scenario, preset: str = "sim") -> Task:
         sight_m=scenario.sight_m,
         speed_range=0.5 * ceiling,
         duration_ticks=round(scenario.duration_s * HZ),
-        goal=(scenario.success.reach_x_m, scenario.success.reach_lanes, scenario.end_x_m),
+        goal=scenario.goal,
         draw=lambda rng, rows, home: draw_wish(rng, scenario, rows, home),
         preset=preset,
     )

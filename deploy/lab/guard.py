@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from fast_node.mask import OPEN, PRESETS, close_actions, lane_table
-from schemas.wire.messages import MetaAction
-from sim_node.env import ScenarioEnv
+import numpy as np
 
-_INSTEAD = (MetaAction.CRUISE, MetaAction.SLOW_DOWN, MetaAction.SPEED_UP, MetaAction.LEFT, MetaAction.RIGHT)
+from fast_node.mask import OPEN, PRESETS, close_actions, lane_table
+from schemas.driving.episode import replaced
+from sim_node.env import ScenarioEnv
 
 
 def safety_mask(env: ScenarioEnv, meta: int) -> int:
@@ -25,6 +25,4 @@ def safety_mask(env: ScenarioEnv, meta: int) -> int:
         vehicle,
         PRESETS["sim"],
     )
-    if rule[meta] == OPEN:
-        return meta
-    return next((int(a) for a in _INSTEAD if rule[a] == OPEN), int(MetaAction.EMERGENCY_BRAKE))
+    return int(replaced(np.array([meta]), np.array([rule]) == OPEN)[0])

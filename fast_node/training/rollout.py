@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 
 from fast_node import choice, mask
 from fast_node.choice import MASKED
-from fast_node.mask.vocabulary import AHEAD, FACING, LEFT, RIGHT
+from fast_node.mask.vocabulary import LEFT, RIGHT
 from fast_node.training.tracking import FleetTracks, Sense
-from schemas.driving.actions import held
+from schemas.driving.episode import REDIRECT_PER_S, Decision, Ending, Goal, closeness, ending, flags, held
 from schemas.driving.features import FEATURES, N_ROWS, Array, policy_input
 from schemas.driving.intent import ANY_LANE, NORMAL, STYLES, intended_lane, unasked_lane
-from schemas.driving.measures import TTC_CAP_S, ttc_s
-from schemas.driving.reward import reward, shortfall
-from schemas.driving.road import DECISION_TICKS, HZ, LANE, LANE_END, LANE_Y, VX, X, gap_between
+from schemas.driving.measures import TTC_CAP_S
+from schemas.driving.road import DECISION_TICKS, HZ, LANE_END, LANE_Y, VX, X
 from schemas.runtime.compiled import compiled
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 
@@ -100,19 +99,7 @@ def _look_all(
                 headway[s],
                 cap[s],
             )
-        ttc[s] = TTC_CAP_S
-        short[s] = 0.0
-        ego = rows[s, 0]
-        lead = near[s, 3 * target_lane[s] + AHEAD]
-        if lead >= 0:
-            short[s] = shortfall(gap_between(ego, rows[s, lead]), ego[VX], headway[s])
-        for lane in (int(ego[LANE]), target_lane[s]):
-            for k in (AHEAD, FACING):
-                i = near[s, 3 * lane + k]
-                if i >= 0:
-                    gap = gap_between(ego, rows[s, i])
-                    if gap > 0.0:
-                        ttc[s] = min(ttc[s], ttc_s(gap, ego[VX] - rows[s, i, VX]))
+        ttc[s], short[s] = closeness(rows[s], target_lane[s], headway[s])
 
 
 def _observe_all(
@@ -195,8 +182,7 @@ class Task:
     sight_m: float
     speed_range: float
     duration_ticks: int
-    goal: tuple[float, tuple[int, ...], float]
-    """An episode is over beyond x = goal[0] in one of the lanes goal[1], and anywhere beyond goal[2]."""
+    goal: Goal
     draw: Callable[[np.random.Generator, Array, int], tuple[int, int, float, float]]
     """A random directive for rows (V, 9) and a home lane: lane, id of the car to pass or -1, speed, headway."""
     preset: str = "sim"
@@ -285,10 +271,7 @@ class Fleet:
 
     def over(self) -> Bools:
         """Where the ego has crashed, reached its goal or come to the road's end."""
-        ego = self.world.rows[:, 0]
-        x, lanes, end = self.task.goal
-        reached = (ego[:, X] > x) & np.isin(ego[:, LANE], lanes)
-        return np.asarray(self.world.crashed | reached | (ego[:, X] > end))
+        return np.asarray(ending(self.world.crashed, self.world.rows[:, 0], self.task.goal) != Ending.NONE)
 
 
 class Scenes(Fleet):
@@ -352,50 +335,22 @@ class Scenes(Fleet):
         """
         w = self.world
         s = len(action)
-        braked, effort, short, ttc = np.zeros(s, np.bool_), np.zeros(s), np.zeros(s), np.full(s, TTC_CAP_S)
-        jolt = np.zeros(s)
-        start_x = w.rows[:, 0, X].copy()
         logits = np.eye(POLICY_ACTIONS, dtype=np.float32)[action]
         since = np.full(s, DECISION_TICKS)
+        decision = Decision(action, w.rows[:, 0, X], w.accel)
         for k in range(self._decision_ticks):
             if k:
                 since[:] = 0
             _choose(logits, self.rule, since, self._holding, self._meta, self._by)
-            braked |= self._meta == MetaAction.EMERGENCY_BRAKE
-            before = w.accel.copy()
             w.tick(self._meta, self.v_des, self.cap_mps, self.style)
-            effort += w.accel**2
-            jolt += ((w.accel - before) * HZ) ** 2
             self.look()
-            ttc = np.minimum(ttc, self.ttc_s)
-            short += self.short / self._decision_ticks
+            there = (self.wish == ANY_LANE) | (w.target_lane == self.wish)
+            over = ending(w.crashed, w.rows[:, 0], self.task.goal)
+            decision.tick(self._meta, w.rows[:, 0], w.accel, self.ttc_s, self.short, there, over)
         self.age += 1
-        seconds = self._decision_ticks / HZ
-        speed = (w.rows[:, 0, X] - start_x).astype(np.float64) / seconds
-        over = self.over()
-        lanes, end = self.task.goal[1:]
-        astray = ~np.isin(w.rows[:, 0, LANE], lanes) & bool(lanes)
-        missed = ~w.crashed & (w.rows[:, 0, X] > end) & astray
-        earned = reward(
-            speed,
-            self.v_des,
-            self.task.speed_range,
-            effort / self._decision_ticks,
-            jolt / self._decision_ticks,
-            action != MetaAction.CRUISE,
-            action >= MetaAction.LEFT,
-            (self.wish == ANY_LANE) | (w.target_lane == self.wish),
-            ttc,
-            short,
-            braked,
-            w.crashed,
-            seconds,
-            missed,
-        )
-        terminated = w.crashed.copy()
-        # The goal and the road's end cut an episode off: what would come after is worth what the value says.
-        truncated = ((self.age * self._decision_ticks >= self.task.duration_ticks) | over) & ~terminated
-        again = redirect & (self._rng.random(s) < 0.03 * seconds) & ~terminated & ~truncated
+        earned = decision.earned(self.v_des, self.task.speed_range, to_reach=bool(self.task.goal.reach_lanes))
+        terminated, truncated = flags(decision.over, self.age * self._decision_ticks >= self.task.duration_ticks)
+        again = redirect & (self._rng.random(s) < REDIRECT_PER_S * self._decision_ticks / HZ) & ~terminated & ~truncated
         if again.any():
             self._direct(again)
             self.look()

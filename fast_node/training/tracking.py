@@ -51,8 +51,8 @@ class FleetTracks:
         self._ticks = np.full(len(rows), -1)
 
     def follow(self, rows: Array, ticks: Ints, lanes: Floats, sight_m: float) -> Bools:
-        """Take in the rows of the world, where it has gone on since the last call: (S,) these. ticks (S,): of its episodes
-        so far."""
+        """Take in the rows of the world, where it has gone on since the last call: (S,) these. ticks (S,): of its
+        episodes so far."""
         fresh: Bools = ticks != self._ticks
         self._seen[:] = rows
         if self._sense is not None:

@@ -46,7 +46,7 @@ def reward(
     short: Floats,
     braked: Bools,
     crashed: Bools,
-    seconds: float = 1.0,
+    seconds: float | Floats = 1.0,
     missed: Bools | bool = False,
 ) -> NDArray[np.float32]:
     """(S,) reward of one decision that lasted `seconds`; what happens once (an action, a brake, a crash) counts whole.

@@ -89,6 +89,22 @@ def next_ahead(rows: Any, lane: int, x: float) -> int:
     return found
 
 
+def next_facing(rows: Any, lane: int, x: float) -> int:
+    """Row index of the first vehicle that drives against us in `lane`, centre beyond `x` [m]; NOBODY if none."""
+    found = NOBODY
+    for i in range(1, len(rows)):
+        row = rows[i]
+        if (
+            row[ID] >= 0
+            and int(row[LANE]) == lane
+            and row[VX] < AGAINST_MPS
+            and row[X] > x
+            and (found < 0 or row[X] < rows[found][X])
+        ):
+            found = i
+    return found
+
+
 def lead_id(rows: Any, lane: int) -> int:
     """Id of the next vehicle ahead of the ego in `lane` that drives our way; NOBODY where there is none."""
     lead = next_ahead(rows, lane, rows[0][X])

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from schemas.driving.episode import Goal
 from schemas.driving.intent import ANY_LANE
 from schemas.driving.measures import CAR_LENGTH_M, rss_same_direction_m
 from schemas.driving.road import NOBODY, lead_id
@@ -236,6 +237,11 @@ class Scenario:
         fields = {field: value for name in names for field, value in VARIED[name].items()}
         other = replace(self, manners=replace(self.manners, **fields))
         return other.narrower(NARROW_M) if "narrow" in names else other
+
+    @property
+    def goal(self) -> Goal:
+        """Where an episode ends."""
+        return Goal(self.success.reach_x_m, self.success.reach_lanes, self.end_x_m)
 
     @property
     def vehicles_max(self) -> int:

@@ -22,7 +22,7 @@ from fast_node.choice import (
     worth_entering,
 )
 from fast_node.mask.vocabulary import BRAKE, CRUISE, LEAD, LEFT, NOT_WISHED, OPEN, RIGHT, SLOW_DOWN, SPEED_UP
-from schemas.driving.actions import held
+from schemas.driving.episode import held
 
 ALL = (SLOW_DOWN, CRUISE, SPEED_UP, LEFT, RIGHT)
 SPEEDS = {SLOW_DOWN, CRUISE, SPEED_UP}

@@ -17,7 +17,7 @@ import pytest
 
 from schemas.runtime.bus import BusConfig, open_bus
 from schemas.wire.codec import decode, encode, rows_of
-from schemas.wire.messages import Action, MetaAction, Observation
+from schemas.wire.messages import Action, MetaAction
 from schemas.wire.topics import OBSERVATION, STATUS
 from sim_node import executor
 from sim_node.config import SimConfig
