@@ -96,7 +96,7 @@ def test_a_delay_is_reported_with_its_rule_and_beginning_when_it_begins(node):
 
 def test_a_change_carried_out_after_a_delay_is_reported_with_the_rule_and_the_length_of_the_delay(node):
     drive(node, range(30), directive(), LEAD, ONCOMING)
-    assert [facts(e) for e in drive(node, range(30, 31), directive(), LEAD)] == [
+    assert [facts(e) for e in drive(node, range(30, 31), directive(), LEAD, car(2, 300, 0, -6))] == [
         ("carried_out", "oncoming traffic", 0, 2.0)
     ]
 
