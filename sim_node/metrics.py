@@ -359,7 +359,11 @@ class Recorder:
 
 
 def _struck(rows: Rows, changing: Bools) -> Bools:
-    """Whether the car nearest to the ego ran into it, and not the ego into that car; the ego held its lane."""
+    """Whether the car nearest to the ego ran into it, and not the ego into that car; the ego held its lane.
+
+    Sideways the other must move towards the ego by its own motion, and the ego not towards it: one that is back from a
+    change and moves on to its lane's centre is not hit by who keeps its lane beside it. Both on a bend move alike.
+    """
     ego = rows[:, :1]
     dx, dy = rows[..., X] - ego[..., X], rows[..., Y] - ego[..., Y]
     away = np.where(rows[..., ID] > 0, np.hypot(dx, 2.0 * dy), np.inf)
@@ -368,5 +372,7 @@ def _struck(rows: Rows, changing: Bools) -> Bools:
     near = rows[each, other]
     touching = away[each, other] < 12.0  # else it was an obstacle
     from_behind = (dx[each, other] < -2.0) & (near[:, VX] > rows[:, 0, VX])
-    sideways = -np.sign(dy[each, other]) * (near[:, VY] - rows[:, 0, VY]) > SIDEWAYS_MPS
+    side = np.sign(dy[each, other])
+    theirs, ours = -side * near[:, VY], side * rows[:, 0, VY]
+    sideways = (theirs > SIDEWAYS_MPS) & (theirs + ours > SIDEWAYS_MPS) & (ours <= SIDEWAYS_MPS)
     return np.asarray(touching & ~changing & (from_behind | sideways))

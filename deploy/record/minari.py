@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -13,12 +12,10 @@ from numpy.typing import NDArray
 
 from deploy.record.export import missing
 from deploy.record.reader import Recording
-from schemas.driving.measures import TTC_CAP_S
-from schemas.driving.reward import reward, shortfall
-from schemas.driving.road import ID, NOBODY, VX
+from schemas.driving.episode import Decision, Ending, closeness
+from schemas.driving.road import ID, NOBODY, X
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import ROW_COLUMNS, Action, MetaAction, Observation
-from sim_node.metrics import CLOSING_MIN_MPS, leader
 from sim_node.observe import VEHICLES_MAX
 
 HEADWAY_S = 1.5
@@ -29,7 +26,8 @@ SHAPE = (1 + VEHICLES_MAX, len(ROW_COLUMNS))
 def to_minari(recording: Recording, name: str) -> int:
     """Write the local data set `name` (such as `fastslow/highway-v0`); returns how many steps it has.
 
-    An episode for each world; a step for each tick whose action and next tick were recorded. Observations: (41, 9) rows
+    An episode for each world, cut where an answer was missed; a step for each tick whose action was applied and whose
+    next tick was recorded. Observations: (41, 9) rows
     in `ROW_COLUMNS`, absent vehicles with id -1; actions: `MetaAction`; rewards: the project's own, per tick, for the
     speed that the action aimed at. Raises `ConfigError` where minari is missing, ValueError where it has that name.
     """
@@ -80,7 +78,7 @@ def _episodes(recording: Recording) -> Iterator[tuple[list[Observation], list[in
     rewards: list[float] = []
     for at, after in pairwise(sorted(seen)):
         action = answers.get(at)
-        if action is not None and after == (at[0], at[1] + 1):
+        if action is not None and after == (at[0], at[1] + 1) and seen[after].applied_tick == at[1]:
             run = run or [seen[at]]
             run.append(seen[after])
             actions.append(action.meta_action)
@@ -101,28 +99,20 @@ def _padded(observation: Observation) -> NDArray[np.float32]:
 
 
 def _reward(before: Observation, after: Observation, action: Action) -> float:
-    one: Any = np.asarray
     rows = rows_of(after)
-    speed, limit = float(rows[0, VX]), after.lanes[after.target_lane].speed_limit_mps
     aim = action.speed_goal_mps if action.speed_goal_mps is not None else before.target_speed_mps
-    gap, closing = leader(rows[None], np.array([after.target_lane]))
-    ttc = float(gap[0] / closing[0]) if closing[0] > CLOSING_MIN_MPS else TTC_CAP_S
-    short = shortfall(float(gap[0]), speed, HEADWAY_S) if np.isfinite(gap[0]) else 0.0
-    meta = action.meta_action
-    return float(
-        reward(
-            one(speed),
-            one(aim),
-            0.5 * limit,
-            one(after.acceleration_mps2**2),
-            one(((after.acceleration_mps2 - before.acceleration_mps2) * after.hz) ** 2),
-            one(meta != MetaAction.CRUISE),
-            one(meta in (MetaAction.LEFT, MetaAction.RIGHT)),
-            one(True),
-            one(ttc),
-            one(short),
-            one(meta == MetaAction.EMERGENCY_BRAKE),
-            one(after.crashed),
-            1.0 / after.hz,
-        )
+    ttc, short = closeness(rows.astype(float).tolist(), after.target_lane, HEADWAY_S)
+    decision = Decision(
+        np.array([action.meta_action]), rows_of(before)[:1, X], np.array([before.acceleration_mps2])
     )
+    decision.tick(
+        np.array([action.meta_action]),
+        rows[:1],
+        np.array([after.acceleration_mps2]),
+        np.array([ttc]),
+        np.array([short]),
+        np.array([True]),
+        np.array([int(Ending.COLLISION if after.crashed else Ending.NONE)]),
+    )
+    half = 0.5 * after.lanes[after.target_lane].speed_limit_mps
+    return float(decision.earned(np.array([aim]), half, after.hz)[0])

@@ -127,7 +127,7 @@ def test_forty_seconds_are_forty_seconds_at_every_rate(decision_hz: int, steps: 
 def test_the_two_way_road_ends_an_episode_before_it_ends() -> None:
     env = alone("two-way", duration_s=None)
     env.ego.position[0] = env.scenario.end_x_m - 3.0
-    assert any(env.step(SPEED_UP)[2] for _ in range(30))
+    assert any(env.step(SPEED_UP)[3] for _ in range(30))
     assert not env.ego.crashed
 
 

@@ -51,6 +51,7 @@ class Pair:
         return ours, theirs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("decision_hz", [1, HZ])
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("name", SCENARIOS)
