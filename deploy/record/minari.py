@@ -102,9 +102,7 @@ def _reward(before: Observation, after: Observation, action: Action) -> float:
     rows = rows_of(after)
     aim = action.speed_goal_mps if action.speed_goal_mps is not None else before.target_speed_mps
     ttc, short = closeness(rows.astype(float).tolist(), after.target_lane, HEADWAY_S)
-    decision = Decision(
-        np.array([action.meta_action]), rows_of(before)[:1, X], np.array([before.acceleration_mps2])
-    )
+    decision = Decision(np.array([action.meta_action]), rows_of(before)[:1, X], np.array([before.acceleration_mps2]))
     decision.tick(
         np.array([action.meta_action]),
         rows[:1],
