@@ -48,6 +48,9 @@ from schemas.driving.road import (
 from schemas.wire.messages import POLICY_ACTIONS
 
 FOLLOW_GAIN = 0.5
+LIKELY = 0.4
+"""Share of a doubt that counts for what is done at once, an emergency brake at worst: a standard deviation. The speed
+cap takes the whole doubt, and so brakes for it earlier, and gently."""
 FIRM_MPS = 5.0
 """The executor brakes with its gain times this much below its speed."""
 LEAVE_M = 6.0
@@ -81,8 +84,8 @@ def side_gap(ego: Any, row: Any, p: Preset) -> float:
     """Distance [m], side to side, from which the ego and another car can both stay apart (RSS Definition 6). Where the
     other's own motion ends `aside_m` knows."""
     towards = 1.0 if row[Y] > ego[Y] else -1.0
-    return doubt(row, DOUBT_Y) + rss_lateral_m(
-        towards * ego[VY], doubt(row, DOUBT_VY), p.reaction_s, p.side_accel, p.side_brake, p.sway_m
+    return LIKELY * doubt(row, DOUBT_Y) + rss_lateral_m(
+        towards * ego[VY], LIKELY * doubt(row, DOUBT_VY), p.reaction_s, p.side_accel, p.side_brake, p.sway_m
     )
 
 
@@ -102,8 +105,9 @@ def keep_gaps(s: Situation, rule: Any, vehicle: Any) -> tuple[float, int]:
             leaving = abs(lane_y - row[Y]) - CUT_IN_S * abs(row[VY]) >= 0.5 * (row[WIDTH] + ego[WIDTH])
         gap, lead_v = gap_m(x, row[X], ego[LENGTH], row[LENGTH]), max(row[VX], 0.0)
         unsure, slowest = doubt(row, DOUBT_X), max(row[VX] - doubt(row, DOUBT_VX), 0.0)
-        need = rss_same_direction_m(v, slowest, p.reaction_s, 0.0, p.ego_brake + 1.0, p.lead_brake)
-        too_near = gap - unsure < (0.5 if leaving else 1.0) + need
+        likely = max(row[VX] - LIKELY * doubt(row, DOUBT_VX), 0.0)
+        need = rss_same_direction_m(v, likely, p.reaction_s, 0.0, p.ego_brake + 1.0, p.lead_brake)
+        too_near = gap - LIKELY * unsure < (0.5 if leaving else 1.0) + need
         spare = gap - LEAVE_M if gap > LEAVE_M and lane_ends else gap
         limit = lead_v + (gap - 1.0) / 1.5 if leaving else allowed_speed(spare, lead_v, p)
         if not leaving:  # what is comfortable follows the best guess; what is safe, the worst

@@ -14,6 +14,7 @@ from fast_node.mask.vocabulary import AHEAD, BEHIND, FACING
 from schemas.driving.measures import CAR_LENGTH_M
 from schemas.driving.road import (
     AGAINST_MPS,
+    DOUBT_VY,
     HEADING,
     ID,
     LANE,
@@ -28,6 +29,7 @@ from schemas.driving.road import (
     WIDTH,
     X,
     Y,
+    doubt,
     road_end,
 )
 
@@ -41,15 +43,18 @@ ASKEW = 0.1
 """Sine of the heading from which on a car may take up room in the next lane."""
 
 
+def moves_aside(row: Any) -> bool:
+    """Whether a car moves sideways, beyond doubt."""
+    return bool(abs(row[VY]) - doubt(row, DOUBT_VY) > CUT_IN_MPS)
+
+
 def drifts(row: Any, lanes: Any) -> bool:
     """Whether a car's motion sideways leads out of its lane: it is past the centre line, where the lane is left at all.
     Before that, it is taken to be coming into its lane, or to follow its bend."""
     lane = int(row[LANE])
     past = row[Y] - lanes[lane][LANE_Y]
     out: bool = (
-        abs(row[VY]) > CUT_IN_MPS
-        and (past if row[VY] > 0.0 else -past) > -CENTRED_M
-        and row[X] >= lanes[lane][LANE_OPENS]
+        moves_aside(row) and (past if row[VY] > 0.0 else -past) > -CENTRED_M and row[X] >= lanes[lane][LANE_OPENS]
     )
     return out
 
@@ -58,7 +63,7 @@ def settles_at(row: Any, lanes: Any) -> float:
     """Where a car's motion sideways is taken to end [m]: on the centre line that it comes to next. Without such a
     motion, where it is."""
     lane, y = int(row[LANE]), row[Y]
-    if abs(row[VY]) > CUT_IN_MPS:
+    if moves_aside(row):
         if drifts(row, lanes):
             lane = lane + 1 if row[VY] > 0.0 else lane - 1
         y = lanes[lane][LANE_Y] if 0 <= lane < len(lanes) else y + CUT_IN_S * row[VY]
