@@ -42,6 +42,7 @@ class Scene(NamedTuple):
     """What the last decision asks for meanwhile."""
     left_lane: int
     accel: float
+    style: int
 
 
 def draw(count: int = N_SCENES, seed: int = 7) -> Iterator[Scene]:
@@ -112,6 +113,7 @@ def draw(count: int = N_SCENES, seed: int = 7) -> Iterator[Scene]:
             one_of(3),
             left_lane if 0 <= left_lane < len(lanes) else -1,
             between(-4.0, 2.0),
+            one_of(3),
         )
 
 
@@ -130,7 +132,7 @@ def judged(scene: Scene, preset: Preset) -> tuple[int, ...]:
     )
     safe = list(rule)
     wished_lane, speed, headway = scene.intent
-    cap = min(admitted, comfortable_mps(rows, near, lanes, lane, scene.accel, speed, headway))
+    cap = min(admitted, comfortable_mps(rows, near, lanes, lane, scene.accel, speed, headway, scene.style))
     narrow(
         rule,
         rows,

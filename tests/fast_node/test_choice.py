@@ -22,7 +22,8 @@ from fast_node.choice import (
     worth_entering,
 )
 from fast_node.mask.vocabulary import BRAKE, CRUISE, LEAD, LEFT, NOT_WISHED, OPEN, RIGHT, SLOW_DOWN, SPEED_UP
-from schemas.driving.episode import held
+from schemas.driving.actions import held
+from schemas.driving.intent import ASSERTIVE, CALM, NORMAL
 
 ALL = (SLOW_DOWN, CRUISE, SPEED_UP, LEFT, RIGHT)
 SPEEDS = {SLOW_DOWN, CRUISE, SPEED_UP}
@@ -281,6 +282,7 @@ def comfortable(
     accel: float = 0.0,
     wish: tuple[float, float] = (FAST, 1.0),
     aim: int = 1,
+    style: int = NORMAL,
     lanes: list[tuple[float, ...]] = HIGHWAY,
     x: float = 500.0,
 ) -> float:
@@ -288,7 +290,7 @@ def comfortable(
     near = [-1] * (3 * len(lanes))
     if cars:
         near[3 * aim] = 1
-    return comfortable_mps([car(x, speed, aim, 5.0), *cars], near, lanes, aim, accel, *wish)
+    return comfortable_mps([car(x, speed, aim, 5.0), *cars], near, lanes, aim, accel, *wish, style)
 
 
 def test_alone_the_wished_speed_is_comfortable():
@@ -338,6 +340,18 @@ def test_on_a_ramp_the_speed_is_what_may_be_driven_where_it_opens(x, speed):
 def test_comfort_brakes_with_two_and_comes_to_that_slowly(accel, speed):
     # A tenth of a metre per second squared more each tick: 1.5 m/s3.
     assert comfortable(speed=20.0, accel=accel, wish=(10.0, 1.0)) == pytest.approx(speed)
+
+
+@pytest.mark.parametrize(("style", "brake", "jerk"), [(CALM, 1.5, 1.0), (NORMAL, 2.0, 1.5), (ASSERTIVE, 3.0, 2.5)])
+def test_a_style_brakes_as_hard_and_as_soon_as_it_likes(style, brake, jerk):
+    assert comfortable(speed=20.0, wish=(10.0, 1.0), style=style) == pytest.approx(20 - jerk / 15)
+    assert comfortable(speed=20.0, accel=-6.0, wish=(10.0, 1.0), style=style) == pytest.approx(20 - brake)
+
+
+@pytest.mark.parametrize(("style", "brake"), [(CALM, 1.0), (NORMAL, 1.5), (ASSERTIVE, 2.2)])
+def test_a_style_closes_in_as_fast_as_it_likes(style, brake):
+    closing = math.sqrt(2 * brake * 17.5 + (4 * brake) ** 2) - 4 * brake
+    assert comfortable(lead(30.0), style=style) == pytest.approx(10 + closing)
 
 
 def test_comfort_does_not_hold_up_what_is_hardly_slower():

@@ -137,7 +137,7 @@ def test_a_stop_is_standing_in_the_own_lane_whatever_else_it_says(follower):
     [
         ({}, DEFAULT_HEADWAY_S),
         ({"style": "normal"}, DEFAULT_HEADWAY_S),
-        ({"style": "assertive"}, 1.0),
+        ({"style": "assertive"}, 1.2),
         ({"style": "calm"}, 2.0),
         ({"style": "calm", "headway_s": 0.8}, 0.8),
         ({"style": "calm", "headway_s": 0.0}, 2.0),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -9,7 +10,8 @@ import pytest
 from fast_node.choice import choose, comfortable_mps, narrow
 from fast_node.mask import PRESETS
 from fast_node.mask.neighbours import survey
-from schemas.driving.episode import held
+from schemas.driving.actions import held
+from schemas.driving.intent import ASSERTIVE, CALM, NORMAL
 from schemas.driving.road import DECISION_TICKS
 from schemas.wire.messages import MetaAction
 from tests.mask_scenes import DT, HIGHWAY, capped, every_preset, in_lane
@@ -20,7 +22,14 @@ HASTY, PATIENT = [0.0, 1.0, 2.0, -1.0, -1.0], [0.0, 2.0, 1.0, -1.0, -1.0]
 
 
 def followed(
-    lead_mps: float, gap: float, speed: float, *, headway: float | None = 1.5, liking=HASTY, preset: str = "sim"
+    lead_mps: float,
+    gap: float,
+    speed: float,
+    *,
+    headway: float | None = 1.5,
+    style: int = NORMAL,
+    liking=HASTY,
+    preset: str = "sim",
 ) -> tuple[list[float], list[float]]:
     """The ego's accelerations [m/s2] and gaps [m] over three minutes. headway: the wished one; None: nothing is
     wished, only the mask limits the speed."""
@@ -32,7 +41,7 @@ def followed(
         rule, _, cap = capped(rows, HIGHWAY, ego.target_speed, 1, -1, PRESETS[preset])
         if headway is not None:
             survey(rows, HIGHWAY, near)
-            cap = min(cap, comfortable_mps(rows, near, HIGHWAY, 1, ego.accel, 28.0, headway))
+            cap = min(cap, comfortable_mps(rows, near, HIGHWAY, 1, ego.accel, 28.0, headway, style))
             narrow(rule, rows, near, HIGHWAY, ego.target_speed, 1, -1, -1, 1, 28.0, headway, cap)
         due = tick % DECISION_TICKS == 0
         meta, _ = choose(liking, rule, due, goes_on)
@@ -46,7 +55,7 @@ def followed(
 def sign_changes(accels: list[float]) -> int:
     """Of the last minute; less than 0.01 m/s2 has none."""
     signs = [a > 0.0 for a in accels[-round(60 / DT) :] if abs(a) > 0.01]
-    return sum(a != b for a, b in zip(signs, signs[1:], strict=False))
+    return sum(a != b for a, b in itertools.pairwise(signs))
 
 
 @pytest.mark.parametrize("lead_mps", [5.0, 10.0, 20.0, 26.0])
@@ -58,6 +67,14 @@ def test_the_wished_headway_is_reached_and_kept_without_a_limit_cycle(lead_mps, 
     assert sign_changes(accels) <= 1
     assert max(abs(a) for a in accels[-round(60 / DT) :]) < 0.05
     assert min(accels) > -2.1
+
+
+@pytest.mark.parametrize(("style", "brake"), [(CALM, 1.5), (NORMAL, 2.0), (ASSERTIVE, 3.0)])
+def test_every_style_settles_as_well_and_brakes_no_harder_than_it_likes(style, brake):
+    accels, gaps = followed(15.0, 60.0, 25.0, style=style)
+    assert gaps[-1] == pytest.approx(25.0, abs=0.2)
+    assert sign_changes(accels) <= 1
+    assert min(accels) >= -brake - 0.01
 
 
 def test_a_patient_driver_follows_as_steadily():
@@ -89,7 +106,7 @@ def test_a_leader_that_brakes_gently_to_a_stop_is_stopped_behind_as_gently():
         rows, near = [ego.row(HIGHWAY), car(1, x, 1, v)], [0] * (3 * len(HIGHWAY))
         rule, _, cap = capped(rows, HIGHWAY, ego.target_speed, 1)
         survey(rows, HIGHWAY, near)
-        cap = min(cap, comfortable_mps(rows, near, HIGHWAY, 1, ego.accel, 28.0, 1.5))
+        cap = min(cap, comfortable_mps(rows, near, HIGHWAY, 1, ego.accel, 28.0, 1.5, NORMAL))
         meta, _ = choose(PATIENT, rule, True, MetaAction.CRUISE)
         assert meta != MetaAction.EMERGENCY_BRAKE
         ego = ego.moved(meta, HIGHWAY, 28.0, cap)

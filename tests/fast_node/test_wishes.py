@@ -84,8 +84,8 @@ def test_a_lane_wished_before_a_stop_is_not_gone_back_to_after_it(follower):
     assert follower.at(observation(2, **LEFT_NOW), wish(3, headway_s=2.0)).lane == ANY_LANE
 
 
-@pytest.mark.parametrize(("end_m", "kept"), [(550.0, 1), (549.9, 0)])
-def test_a_lane_is_wished_no_more_once_it_ends_within_ten_seconds(follower, end_m, kept):
+@pytest.mark.parametrize(("end_m", "kept"), [(600.0, 1), (599.9, 0)])
+def test_a_lane_is_wished_no_more_once_it_ends_within_ten_seconds_and_fifty_metres(follower, end_m, kept):
     road: dict[str, Any] = {"lanes": (lane(0), lane(1, end_m=end_m)), "lane": 1}
     follower.at(observation(0, lanes=(lane(0), lane(1)), lane=1), wish(1, target_lane=1))
     assert follower.at(observation(1, **road)).lane == kept
@@ -178,8 +178,8 @@ def test_a_speed_that_is_no_number_is_none(follower):
         ({"target_lane": 1}, CALM, 2.0),
         ({"target_speed_mps": 7.0}, NORMAL, DEFAULT_HEADWAY_S),
         ({"headway_s": 1.2}, NORMAL, 1.2),
-        ({"style": "assertive"}, ASSERTIVE, 1.0),
-        ({"target_lane": 1, "style": "assertive"}, ASSERTIVE, 1.0),
+        ({"style": "assertive"}, ASSERTIVE, 1.2),
+        ({"target_lane": 1, "style": "assertive"}, ASSERTIVE, 1.2),
         ({}, NORMAL, DEFAULT_HEADWAY_S),
     ],
     ids=str,
@@ -192,7 +192,7 @@ def test_a_style_stands_until_another_speed_gap_or_style_is_wished(follower, sec
 
 def test_the_style_of_an_overtake_ends_with_it(follower):
     overtake = wish(1, manoeuvre="overtake", style="assertive")
-    assert (follower.at(observation(0, LEAD), overtake).headway, follower.style) == (1.0, ASSERTIVE)
+    assert (follower.at(observation(0, LEAD), overtake).headway, follower.style) == (1.2, ASSERTIVE)
     follower.at(observation(1, PASSED))
     assert (follower.at(observation(2, PASSED)).headway, follower.style) == (DEFAULT_HEADWAY_S, NORMAL)
 

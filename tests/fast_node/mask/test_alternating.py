@@ -88,7 +88,8 @@ def drive(ego: Ego, others: list[Other], picks: list[int], lanes, p: Preset) -> 
         rows = [ego.row(lanes), *(other.row(i) for i, other in enumerate(others, 1))]
         for number in touched(rows):
             behind = others[number - 1].way > 0 and not ahead[number - 1]
-            assert behind and not (gentle and others[number - 1].cut_in), (tick, number)
+            its_own_fault = behind and not (gentle and others[number - 1].cut_in)
+            assert its_own_fault, (tick, number)
             return tick
         end = lanes[-1]
         assert ego.x < end[LANE_END] or end[LANE_RAMP] == 0.0 or ego.y < end[LANE_Y] - OUT_M + 0.3
@@ -116,8 +117,8 @@ def situations(draw: st.DrawFn, road: str) -> tuple[Ego, list[Other], list[int]]
         if lanes[k][LANE_RAMP] > 0.0 or abs(k - lane) > 1:
             continue
         if road == "two-way" and k == 0:
-            for far in draw(st.lists(st.floats(15.0, 420.0), max_size=2)):
-                others.append(Other(k, x + far, draw(st.floats(0.0, 8.0) | st.just(8.0)), [], -1))
+            far = draw(st.lists(st.floats(15.0, 420.0), max_size=2))
+            others += [Other(k, x + away, draw(st.floats(0.0, 8.0) | st.just(8.0)), [], -1) for away in far]
             continue
         front = x
         for gap in draw(st.lists(st.floats(0.1, reach), max_size=2)):

@@ -25,6 +25,7 @@ from fast_node.training.network import ActorCritic
 from fast_node.training.rollout import Mixed
 from fast_node.training.train import export, train
 from schemas.driving.features import FEATURES, N_ROWS, features
+from schemas.driving.road import DECISION_TICKS, HZ
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import MetaAction
 
@@ -110,7 +111,7 @@ def test_training_bootstraps_an_episode_that_is_cut_off_with_the_value_of_its_la
         last = net(torch.from_numpy(left.observe()[0]))[1][0].item()
     assert next_values[2, 0] == pytest.approx(last, abs=1e-6)
     assert last != pytest.approx(values[3, 0])  # the next row is of the next episode
-    assert result[2, 0] == pytest.approx(1.0 + 0.99 * last - values[2, 0], abs=1e-5)
+    assert result[2, 0] == pytest.approx(1.0 + 0.99 ** (DECISION_TICKS / HZ) * last - values[2, 0], abs=1e-5)
 
 
 def test_training_adds_nothing_after_a_crash(first_batch) -> None:
