@@ -11,6 +11,8 @@ from deploy.lab.lockstep import overtake_at, run_episode
 from fast_node.config import FastConfig
 from fast_node.node import FastNode
 from fast_node.policies.load import load_policy
+from fast_node.policies.rule import RulePolicy
+from schemas.driving.road import HZ, VX, X
 from schemas.runtime.clock import NS
 from schemas.wire.messages import Directive, Event, MetaAction, Observation
 from tests import scenes
@@ -18,8 +20,11 @@ from tests.scenes import TWO_WAY, Row, car
 
 
 def observation(tick: int, *cars: Row, speed: float = 5.0, lane: int = 1, **fields: Any) -> Observation:
-    """On the two-way road, the ego at x 500."""
-    return scenes.observation(car(0, 500, lane, speed), *cars, tick=tick, **fields)
+    """On the two-way road, the ego at x 500; a second is 15 ticks, by which all have gone on since tick 0."""
+    rows = [row.copy() for row in (car(0, 500, lane, speed), *cars)]
+    for row in rows:
+        row[X] += row[VX] * tick / HZ
+    return scenes.observation(*rows, tick=tick, **fields)
 
 
 def directive(**fields: Any) -> Directive:
@@ -36,7 +41,7 @@ AWAY = {"lane": 0}
 
 @pytest.fixture
 def node() -> FastNode:
-    return FastNode(FastConfig(), load_policy())
+    return FastNode(FastConfig(), RulePolicy())
 
 
 def test_told_to_overtake_it_passes_the_slow_car_and_returns_without_a_collision():
@@ -96,8 +101,8 @@ def test_a_delay_is_reported_with_its_rule_and_beginning_when_it_begins(node):
 
 def test_a_change_carried_out_after_a_delay_is_reported_with_the_rule_and_the_length_of_the_delay(node):
     drive(node, range(30), directive(), LEAD, ONCOMING)
-    assert [facts(e) for e in drive(node, range(30, 31), directive(), LEAD, car(2, 300, 0, -6))] == [
-        ("carried_out", "oncoming traffic", 0, 2.0)
+    assert [facts(e) for e in drive(node, range(30, 60), directive(), LEAD)] == [
+        ("carried_out", "oncoming traffic", 0, 3.0)  # a second after the car is seen for the last time
     ]
 
 
@@ -118,15 +123,15 @@ def test_a_delay_whose_rule_changes_is_reported_once_for_each_rule_however_often
     home = directive(manoeuvre="cruise", target_lane=1, target_speed_mps=5.0)
     events = [
         e
-        for t in range(0, 60, 10)
+        for t in range(0, 300, 60)
         for e in [
-            *drive(node, range(t, t + 5), home, AHEAD_AT_HOME, **AWAY),
-            *drive(node, range(t + 5, t + 10), home, BEHIND_AT_HOME, **AWAY),
+            *drive(node, range(t, t + 30), home, AHEAD_AT_HOME, **AWAY),
+            *drive(node, range(t + 30, t + 60), home, BEHIND_AT_HOME, **AWAY),
         ]
     ]
     assert [facts(e) for e in events if e.kind == "delayed"] == [
         ("delayed", "front gap in lane", 0, 0.0),
-        ("delayed", "rear gap in lane", 0, 5 / 15),
+        ("delayed", "rear gap in lane", 0, 3.0),  # a second after the car ahead is seen for the last time
     ]
 
 
@@ -144,8 +149,8 @@ def test_where_the_limit_is_wished_already_nothing_is_overridden_for_a_car_behin
 def test_it_accelerates_first_as_soon_as_a_car_behind_becomes_what_holds_it_back(node):
     home = directive(manoeuvre="cruise", target_lane=1, target_speed_mps=5.0)
     drive(node, range(5), home, AHEAD_AT_HOME, **AWAY)
-    drive(node, range(5, 6), home, BEHIND_AT_HOME, **AWAY)
-    action, _ = node.step(observation(6, BEHIND_AT_HOME, **AWAY), home, NS // 2)
+    drive(node, range(5, 21), home, BEHIND_AT_HOME, **AWAY)  # until the other is believed to be gone
+    action, _ = node.step(observation(21, BEHIND_AT_HOME, **AWAY), home, 21 * NS // 15)
     assert action.speed_goal_mps == TWO_WAY[1].speed_limit_mps
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from fast_node.config import FastConfig
 from fast_node.mask import OPEN, PRESETS, lane_table
 from fast_node.node import FastNode
-from fast_node.policies.attention import load_attention
+from fast_node.policies.rule import RulePolicy
 from fast_node.tracks import Tracks
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import Directive, Manoeuvre, MetaAction, Observation, Style
@@ -55,10 +55,10 @@ def seen_at(tick: int, scene: Scene) -> Observation:
 
 
 class Failing:
-    """The shipped policy, but for the ticks at which it has something else to say."""
+    """A policy, but for the ticks at which it has something else to say."""
 
     def __init__(self) -> None:
-        self._policy = load_attention()
+        self._policy = RulePolicy()
         self.instead: Sequence[float] | None = None
 
     def logits(self, x):
