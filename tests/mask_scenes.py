@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from fast_node.mask import OPEN, PRESETS, RULES, Preset, close_actions
 from fast_node.mask.neighbours import half_width, survey
 from fast_node.mask.vocabulary import Situation
+from schemas.driving.measures import rss_same_direction_m
 from schemas.driving.road import (
     HEADING,
     ID,
@@ -191,6 +192,14 @@ def braking(x: float, v: float, brake: float, reaction_s: float = 0.0, accel: fl
 
 def steady(x: float, v: float) -> Motion:
     return lambda t: (x + v * t, v)
+
+
+def pulls_away(gap: float, lead_mps: float, mps: float, p: Preset) -> bool:
+    """Whether a lead is faster than the ego, and nearer than one of its speed must be: it has come in and is taken
+    to pull away."""
+    return lead_mps > mps and gap < 2.0 + rss_same_direction_m(
+        mps, mps, p.reaction_s, 1.0, p.ego_brake + 1.0, p.lead_brake
+    )
 
 
 class Ego(NamedTuple):

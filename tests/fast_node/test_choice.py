@@ -22,7 +22,7 @@ from fast_node.choice import (
     worth_entering,
 )
 from fast_node.mask.vocabulary import BRAKE, CRUISE, LEAD, LEFT, NOT_WISHED, OPEN, RIGHT, SLOW_DOWN, SPEED_UP
-from schemas.driving.actions import held
+from schemas.driving.episode import held
 from schemas.driving.intent import ASSERTIVE, CALM, NORMAL
 
 ALL = (SLOW_DOWN, CRUISE, SPEED_UP, LEFT, RIGHT)
@@ -429,8 +429,8 @@ LIKES_RIGHT = (0.0, 0.0, 0.0, 0.0, 9.0)
 def test_between_two_decisions_what_is_nearest_to_a_closed_speed_is_done():
     assert chosen(LIKES_RIGHT, SPEED_UP, speed_up=LEAD, cruise=LEAD) == (SLOW_DOWN, MASKED)
     assert chosen(LIKES_RIGHT, CRUISE, cruise=LEAD, slow_down=LEAD) == (SPEED_UP, MASKED)
-    assert chosen(LIKES_RIGHT, CRUISE, cruise=LEAD, slow_down=LEAD, speed_up=LEAD) == (LEFT, MASKED)
-    assert chosen(LIKES_RIGHT, CRUISE, **{**SHUT, "right": OPEN}) == (RIGHT, MASKED)
+    assert chosen(LIKES_RIGHT, CRUISE, cruise=LEAD, slow_down=LEAD, speed_up=LEAD) == (RIGHT, MASKED)
+    assert chosen((0.0,) * 5, CRUISE, **{**SHUT, "left": OPEN}) == (LEFT, MASKED)
 
 
 def test_between_two_decisions_it_is_told_where_only_the_wish_was_against_the_speed():

@@ -10,7 +10,7 @@ import pytest
 from fast_node.choice import choose, comfortable_mps, narrow
 from fast_node.mask import PRESETS
 from fast_node.mask.neighbours import survey
-from schemas.driving.actions import held
+from schemas.driving.episode import held
 from schemas.driving.intent import ASSERTIVE, CALM, NORMAL
 from schemas.driving.road import DECISION_TICKS
 from schemas.wire.messages import MetaAction

@@ -108,9 +108,14 @@ def test_noise_is_noticed_and_filtered_and_the_truth_is_within_the_doubt() -> No
     tracks, noise, off, within = Tracks(), np.random.default_rng(5), [], []
     for tick in range(300):
         lost = set(noise.choice(range(1, 9), 2, replace=False))
-        ego = car(0, 500, 1, 20.0)
         found, rows = drive(
-            tracks, range(tick, tick + 1), ego, *cars, missing=lambda _, lost=lost: lost, noise=noise, lanes=HIGHWAY
+            tracks,
+            range(tick, tick + 1),
+            car(0, 500, 1, 20.0),
+            *cars,
+            missing=lambda _, lost=lost: lost,
+            noise=noise,
+            lanes=HIGHWAY,
         )
         truth = {row[ID]: row for row in rows}
         if tick > 3 * HZ:

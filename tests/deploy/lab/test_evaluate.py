@@ -26,7 +26,7 @@ from fast_node.policies.load import load_policy
 from fast_node.policies.mlp import BASELINES, VARIANTS, load_mlp, shipped
 from fast_node.training.rollout import Driver, Fleet
 from schemas.driving.intent import ANY_LANE, unasked_lane
-from schemas.driving.road import DECISION_TICKS, VX, X
+from schemas.driving.road import DECISION_TICKS, VX, VY, X, Y
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import Directive, MetaAction
 from sim_node.config import SimConfig
@@ -343,6 +343,19 @@ def test_a_collision_makes_the_time_to_collision_zero_and_the_episode_no_success
 
 def test_being_run_into_from_behind_is_not_the_egos_fault() -> None:
     assert record([car(0, 400, 1, 5), car(2, 395.5, 1, 8)], crashed=True).results()[0].struck
+
+
+@pytest.mark.parametrize(
+    ("ours_mps", "theirs_mps", "struck"),
+    [(0.0, -1.0, True), (1.0, 0.0, False), (1.0, -1.0, False), (-1.0, -1.0, False)],
+)
+def test_sideways_only_who_moves_towards_a_car_that_keeps_its_place_strikes_it(
+    ours_mps: float, theirs_mps: float, struck: bool
+) -> None:
+    ego, other = car(0, 400, 0, 6), car(1, 401, 1, 6)
+    other[Y] = ego[Y] + 1.9
+    ego[VY], other[VY] = ours_mps, theirs_mps
+    assert record([ego, other], crashed=True).results()[0].struck == struck
 
 
 def test_acceleration_jerk_and_headway_are_the_hand_computed_ones() -> None:

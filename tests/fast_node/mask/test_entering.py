@@ -28,6 +28,7 @@ from tests.mask_scenes import (
     in_lane,
     judge,
     likings,
+    pulls_away,
     speeds,
     touched,
 )
@@ -69,6 +70,7 @@ def test_after_an_open_change_the_leads_of_both_lanes_may_brake_fully(
     preset, side, v, lead_v, other_v, gap, other_gap, accel, liking
 ):
     p, aim = PRESETS[preset], 1 if side == MetaAction.LEFT else 3
+    assume(not pulls_away(gap, lead_v, v, p))
     leads = [(2, braking(505.0 + gap, lead_v, p.lead_brake)), (aim, braking(505.0 + other_gap, other_v, p.lead_brake))]
     for _, rows in ahead_by(4.0, in_lane(2, v, accel), HIGHWAY, leads, side, liking, p):
         assert not touched(rows)

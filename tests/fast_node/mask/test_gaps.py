@@ -28,6 +28,7 @@ from tests.mask_scenes import (
     in_lane,
     likings,
     presets,
+    pulls_away,
     speeds,
     touched,
 )
@@ -95,6 +96,7 @@ def test_after_any_open_action_the_mask_can_still_avoid_a_lead_that_brakes_fully
     preset, v, lead_v, gap, accel, extra, first, liking
 ):
     p = PRESETS[preset]
+    assume(not pulls_away(gap, lead_v, v, p))
     lead = (1, braking(505.0 + gap, lead_v, p.lead_brake))
     for _, rows in ahead_by(4.0, in_lane(1, v, accel, extra=extra), HIGHWAY, [lead], first, liking, p):
         assert not touched(rows)
