@@ -16,14 +16,12 @@ from fast_node.choice import (
     SOURCES,
     WISHED,
     choose,
-    comfortable_mps,
     hold_off,
     narrow,
     worth_entering,
 )
 from fast_node.mask.vocabulary import BRAKE, CRUISE, LEAD, LEFT, NOT_WISHED, OPEN, RIGHT, SLOW_DOWN, SPEED_UP
 from schemas.driving.episode import held
-from schemas.driving.intent import ASSERTIVE, CALM, NORMAL
 
 ALL = (SLOW_DOWN, CRUISE, SPEED_UP, LEFT, RIGHT)
 SPEEDS = {SLOW_DOWN, CRUISE, SPEED_UP}
@@ -274,88 +272,6 @@ def test_the_set_point_rises_to_the_cap(speed, closed):
 
 def test_rising_stays_open_where_nothing_else_is():
     assert ruled_out(speed=20.0, opened={SPEED_UP}, wish=(ANY, 10.0, 1.0), cap=12.0) == set()
-
-
-def comfortable(
-    *cars: list[float],
-    speed: float = 0.0,
-    accel: float = 0.0,
-    wish: tuple[float, float] = (FAST, 1.0),
-    aim: int = 1,
-    style: int = NORMAL,
-    lanes: list[tuple[float, ...]] = HIGHWAY,
-    x: float = 500.0,
-) -> float:
-    """The comfortable speed [m/s] of an ego of 5 m; cars: the first is ahead in the lane `aim`, or comes into it."""
-    near = [-1] * (3 * len(lanes))
-    if cars:
-        near[3 * aim] = 1
-    return comfortable_mps([car(x, speed, aim, 5.0), *cars], near, lanes, aim, accel, *wish, style)
-
-
-def test_alone_the_wished_speed_is_comfortable():
-    assert comfortable(wish=(12.0, 1.0)) == 12.0
-
-
-@pytest.mark.parametrize(
-    ("gap", "headway", "speed"),
-    [
-        (30.0, 1.0, 10 + math.sqrt(52.5 + 36) - 6),  # 30 - 2.5 - 10 m to close in, braking with 1.5 at last
-        (30.0, 0.5, 10 + math.sqrt(67.5 + 36) - 6),
-        (30.0, 2.0, 10 + math.sqrt(22.5 + 36) - 6),
-        (12.5, 1.0, 10.0),  # just the headway: as fast as the lead
-        (11.5, 1.0, 9.75),  # a quarter per second and metre
-        (10.0, 1.0, 9.375),
-        (2.6, 1.0, 7.525),
-        (2.4, 1.0, 7.5),  # no more than 2.5 m/s slower
-        (1.0, 0.0, 9.625),  # nearer than at a standstill
-    ],
-)
-def test_behind_a_lead_the_speed_brings_the_wished_headway_about(gap, headway, speed):
-    assert comfortable(lead(gap), wish=(FAST, headway)) == pytest.approx(speed)
-
-
-def test_behind_a_lead_the_wished_speed_is_the_most():
-    assert comfortable(lead(30.0), wish=(12.0, 1.0)) == 12.0
-
-
-def test_a_car_that_rolls_back_counts_as_standing():
-    assert comfortable(lead(12.5, speed=-0.09), wish=(FAST, 6.0)) == pytest.approx(math.sqrt(30 + 36) - 6)
-
-
-def test_a_car_that_only_comes_into_the_lane_needs_no_headway():
-    assert comfortable(lead(10.0, in_lane=2)) == FAST
-
-
-@pytest.mark.parametrize(("x", "speed"), [(200.0, 240**0.5), (229.0, 240**0.5), (230.0, 240**0.5), (300.0, 72**0.5)])
-def test_on_a_ramp_the_speed_is_what_may_be_driven_where_it_opens(x, speed):
-    # 120 m before its end, 20 of them to spare: braking with 1.2.
-    ramp = [lane(0), lane(1, end=350.0, ramp=1.0, opens=230.0)]
-    assert comfortable(lanes=ramp, x=x) == pytest.approx(speed)
-
-
-@pytest.mark.parametrize(
-    ("accel", "speed"), [(0.0, 19.9), (1.0, 19.9), (-1.0, 18.9), (-1.89, 18.01), (-1.95, 18.0), (-6.0, 18.0)]
-)
-def test_comfort_brakes_with_two_and_comes_to_that_slowly(accel, speed):
-    # A tenth of a metre per second squared more each tick: 1.5 m/s3.
-    assert comfortable(speed=20.0, accel=accel, wish=(10.0, 1.0)) == pytest.approx(speed)
-
-
-@pytest.mark.parametrize(("style", "brake", "jerk"), [(CALM, 1.5, 1.0), (NORMAL, 2.0, 1.5), (ASSERTIVE, 3.0, 2.5)])
-def test_a_style_brakes_as_hard_and_as_soon_as_it_likes(style, brake, jerk):
-    assert comfortable(speed=20.0, wish=(10.0, 1.0), style=style) == pytest.approx(20 - jerk / 15)
-    assert comfortable(speed=20.0, accel=-6.0, wish=(10.0, 1.0), style=style) == pytest.approx(20 - brake)
-
-
-@pytest.mark.parametrize(("style", "brake"), [(CALM, 1.0), (NORMAL, 1.5), (ASSERTIVE, 2.2)])
-def test_a_style_closes_in_as_fast_as_it_likes(style, brake):
-    closing = math.sqrt(2 * brake * 17.5 + (4 * brake) ** 2) - 4 * brake
-    assert comfortable(lead(30.0), style=style) == pytest.approx(10 + closing)
-
-
-def test_comfort_does_not_hold_up_what_is_hardly_slower():
-    assert comfortable(speed=20.0, wish=(19.95, 1.0)) == 19.95
 
 
 # The choice.

@@ -140,8 +140,8 @@ def test_an_ego_that_nears_a_car_sideways_needs_room_to_brake_sideways(ego, othe
 
 
 def test_a_car_of_which_it_is_in_doubt_how_it_moves_sideways_needs_room_for_that():
-    track = [*car(1, 9, 2, 9), 0.0, 0.5, 0.0, 1.0]  # half a metre, and 1 m/s
-    assert side_gap(car(0, 0, 1, 9), track, PLAIN) == pytest.approx(0.5 + 0.25 + 0.078125 + 0.5625 + 0.390625)
+    track = [*car(1, 9, 2, 9), 0.0, 0.5, 0.0, 2.5]  # half a metre, and 2.5 m/s, of which two fifths are likely
+    assert side_gap(car(0, 0, 1, 9), track, PLAIN) == pytest.approx(0.2 + 0.25 + 0.078125 + 0.5625 + 0.390625)
 
 
 # The end of a lane.

@@ -147,3 +147,9 @@ def test_a_motion_sideways_ends_on_the_centre_line_that_comes_next(lane, y, side
 def test_a_car_on_a_ramp_that_may_not_be_left_yet_follows_its_bend():
     row = moving(car(1, 200, 2, 9, y_m=9.0), -1.0)
     assert (heading(row, RAMP, 750.0), settles_at(row, RAMP)) == (2, 8.0)
+
+
+@pytest.mark.parametrize(("unsure", "end"), [(0.69, 8.0), (0.71, 5.0)])
+def test_a_motion_sideways_that_is_in_doubt_is_none(unsure, end):
+    track = [*moving(car(1, 500, 1, 9, y_m=5.0), 1.0), 0.0, 0.0, 0.0, unsure]
+    assert settles_at(track, HIGHWAY) == pytest.approx(end)
