@@ -97,6 +97,9 @@ def draw(count: int = N_SCENES, seed: int = 7) -> Iterator[Scene]:
                     length_m=12.0 if rng.random() < 0.1 else 5.0,
                 )
             )
+        if rng.random() < 0.3:  # tracks, in doubt
+            far = [(0.0, 0.0, 0.0, 0.0)] + [(6.0, 0.6, 3.0, 1.0)] * (len(rows) - 1)
+            rows = [[*row, *(between(0.0, most) for most in off)] for row, off in zip(rows, far, strict=True)]
         rows = np.array(rows, np.float32).tolist()  # as they come over the bus
         target = speed if rng.random() < 0.5 else top * between(0.0, 1.2)
         intent = (one_of(len(lanes) + 1) - 1, top * between(0.0, 1.1), between(0.5, 3.0))
