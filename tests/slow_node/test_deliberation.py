@@ -8,123 +8,12 @@ import numpy as np
 import pytest
 
 from schemas.runtime.clock import NS
-from schemas.wire.messages import Command, Directive, Event, EventKind, Lane, Observation, Reason, Reply
-from slow_node.deliberation import Deliberation, Effect, Interpret, Remember
+from schemas.wire.messages import Reply
+from slow_node.deliberation import Interpret
 from slow_node.interpreter import Interpretation
-from slow_node.planning.directive import Refusal, directive_of
-from slow_node.planning.replies import SENTENCES, sentence
-from slow_node.planning.scene import Scene, encode_scene
+from slow_node.planning.replies import sentence
 from slow_node.understanding.slots import Slots
-from tests import scenes
-from tests.scenes import car
-
-LIMIT = 20.0
-HURRY = Slots(outcome="directive", speed="faster", overtake=True, language="de")
-CANCEL = Slots(outcome="directive", cancel=True, language="de")
-LEFT = Slots(outcome="directive", lane="left")
-Car = tuple[int, float, float]
-"""Lane, distance ahead between centres [m], speed [m/s]."""
-START_S = 100.0
-
-
-def lane(direction: int = 1, kind: str = "main", start_m: float = -1e4, end_m: float = 1e4) -> Lane:
-    return scenes.lane(oncoming=direction < 0, ramp=kind == "ramp", start_m=start_m, end_m=end_m, limit_mps=LIMIT)
-
-
-ONE_WAY = (lane(), lane(), lane())
-TWO_WAY = (lane(-1, "oncoming"), lane())
-
-
-def seen(
-    at_s: float, ego: int, *cars: Car, lanes: tuple[Lane, ...] = ONE_WAY, speed: float = 15.0, epoch: int = 1
-) -> Observation:
-    rows = [car(n, x, at, v) for n, (at, x, v) in enumerate(((ego, 0.0, speed), *cars))]
-    return scenes.observation(*rows, lanes=lanes, epoch=epoch, stamp_ns=round(at_s * NS), tick=round(at_s * 15))
-
-
-def scene(ego: int, *cars: Car, lanes: tuple[Lane, ...] = ONE_WAY, speed: float = 15.0) -> Scene:
-    return encode_scene(seen(0.0, ego, *cars, lanes=lanes, speed=speed))
-
-
-class Ride:
-    """A deliberation with its time, and all that came out of it. Times in seconds."""
-
-    def __init__(self, lanes: tuple[Lane, ...] = ONE_WAY) -> None:
-        self.deliberation, self.lanes, self.now_s, self.said = Deliberation(), lanes, START_S, 0
-        self.out: list[Effect] = []
-
-    def look(self, ego: int, *cars: Car, after_s: float = 0.1, epoch: int = 1) -> list[Effect]:
-        self.now_s += after_s
-        observation = seen(self.now_s, ego, *cars, lanes=self.lanes, epoch=epoch)
-        return self._keep(self.deliberation.on_scene(encode_scene(observation), self._now()))
-
-    def hear(self, *, old_s: float = 0.0) -> list[Effect]:
-        self.said += 1
-        command = Command(epoch=1, stamp_ns=self._now() - round(old_s * NS), id=self.said, text=f"wish {self.said}")
-        return self._keep(self.deliberation.on_command(command, self._now()))
-
-    def say(self, slots: Slots | None, *, thinks_s: float = 0.0, reached: bool = True) -> list[Effect]:
-        """A command that is understood so, or fails."""
-        call = next(e for e in self.hear() if isinstance(e, Interpret))
-        self.now_s += thinks_s
-        return self._keep(self.deliberation.on_interpretation(call.id, Interpretation(slots, "", reached), self._now()))
-
-    def tell(self, kind: str, rule: str | None = None, *, number: int = -1) -> list[Effect]:
-        """The fast node reports about the newest directive, or the one of that number."""
-        return self._keep(
-            self.deliberation.on_event(
-                Event(
-                    epoch=1,
-                    stamp_ns=self._now(),
-                    kind=EventKind(kind),
-                    node="fast",
-                    tick=0,
-                    rule=Reason(rule) if rule else None,
-                    directive_id=self.directives[number].id,
-                ),
-                self._now(),
-            )
-        )
-
-    def wait(self, seconds: int, ego: int, *cars: Car) -> list[Effect]:
-        """So many seconds of the same scene, two scenes in each."""
-        return [effect for _ in range(2 * seconds) for effect in self.look(ego, *cars, after_s=0.5)]
-
-    @property
-    def directives(self) -> list[Directive]:
-        return [e for e in self.out if isinstance(e, Directive)]
-
-    @property
-    def replies(self) -> list[Reply]:
-        return [e for e in self.out if isinstance(e, Reply)]
-
-    @property
-    def outcomes(self) -> list[str]:
-        return [reply.outcome for reply in self.replies]
-
-    @property
-    def learnt(self) -> list[str]:
-        return [e.outcome for e in self.out if isinstance(e, Remember)]
-
-    def _now(self) -> int:
-        return round(self.now_s * NS)
-
-    def _keep(self, effects: list[Effect]) -> list[Effect]:
-        self.out += effects
-        return effects
-
-
-def directives(effects: list[Effect]) -> list[Directive]:
-    return [e for e in effects if isinstance(e, Directive)]
-
-
-def riding(slots: Slots, ego: int, *cars: Car, lanes: tuple[Lane, ...] = ONE_WAY) -> Ride:
-    """A ride on which this was just said."""
-    ride = Ride(lanes)
-    ride.look(ego, *cars)
-    ride.say(slots)
-    return ride
-
+from tests.ride import CANCEL, HURRY, LEFT, TWO_WAY, Car, Ride, directives, lane, riding
 
 WISHES = {
     "faster": Slots(outcome="directive", speed="faster"),
@@ -367,12 +256,6 @@ def test_what_cannot_be_interpreted_is_said_in_the_language_last_spoken() -> Non
     ]
 
 
-def test_every_sentence_is_known_in_every_language() -> None:
-    languages = SENTENCES["done"].keys()
-    assert all(sentences.keys() == languages for sentences in SENTENCES.values())
-    assert len(languages) == 7
-
-
 # --- gates ---------------------------------------------------------------------------------------------------------
 
 
@@ -407,89 +290,3 @@ def test_a_command_older_than_ten_seconds_is_refused_and_replaces_nothing() -> N
     ride.deliberation.on_interpretation(call.id, Interpretation(LEFT), ride._now())
     assert ride.outcomes == ["heard", "refused"]
     assert ride.replies[-1].why == "the command came 10 s late"
-
-
-RAMP = (lane(), lane(), lane(kind="ramp"))
-WORKS = (lane(), lane(), lane(end_m=100.0))
-PAST_WORKS = (lane(), lane(), lane(end_m=-1.0))
-WIDE = (lane(-1, "oncoming"), lane(-1, "oncoming"), lane(), lane())
-
-
-@pytest.mark.parametrize(
-    ("wish", "ego", "lanes", "expected"),
-    [
-        ("right", 1, RAMP, "no_lane"),
-        ("rightmost", 0, RAMP, 1),
-        ("keep", 2, RAMP, "no_lane"),
-        ("left", 2, RAMP, 1),
-        ("right", 1, WORKS, "no_lane"),
-        ("rightmost", 0, WORKS, 1),
-        ("right", 1, PAST_WORKS, "no_lane"),
-        ("left", 1, WIDE, "oncoming"),
-        ("left", 2, WIDE, "oncoming"),
-        ("left", 0, WIDE, "no_lane"),
-        ("right", 0, WIDE, 2),
-        ("rightmost", 1, WIDE, 3),
-        ("left", 3, WIDE, 2),
-        ("left", 0, ONE_WAY, "no_lane"),
-        ("right", 1, ONE_WAY, 2),
-    ],
-)
-def test_a_wished_lane_is_one_to_drive_in_or_refused(
-    wish: Any, ego: int, lanes: tuple[Lane, ...], expected: int | str
-) -> None:
-    plan = directive_of(Slots(outcome="directive", lane=wish), scene(ego, lanes=lanes))
-    assert (plan.say if isinstance(plan, Refusal) else plan.target_lane) == (
-        sentence(expected, "en") if isinstance(expected, str) else expected
-    )
-
-
-@pytest.mark.parametrize(
-    "wish",
-    [
-        {"speed": "faster"},
-        {"speed": "slower"},
-        {"speed": "keep"},
-        {"speed": "stop"},
-        {"target_speed_mps": 29.0},
-        {"target_speed_mps": 0.0},
-    ],
-    ids=str,
-)
-@pytest.mark.parametrize("speed", [0.0, 0.5, 15.0, 25.0])
-def test_a_target_speed_lies_between_standstill_and_the_limit(wish: dict[str, Any], speed: float) -> None:
-    plan = directive_of(Slots.model_validate({"outcome": "directive", **wish}), scene(1, speed=speed))
-    assert isinstance(plan, Directive)
-    assert plan.target_speed_mps is not None
-    assert 0.0 <= plan.target_speed_mps <= (min(speed, LIMIT) if wish.get("speed") == "slower" else LIMIT)
-
-
-def ramp_ahead(end_m: float) -> tuple[Lane, ...]:
-    """Two lanes that go on, and a ramp that ends."""
-    return (lane(), lane(), lane(kind="ramp", end_m=end_m))
-
-
-def test_on_a_ramp_the_lane_to_go_on_in_is_the_one_beside_it() -> None:
-    assert scene(2, lanes=ramp_ahead(100.0)).home_lane == 1
-
-
-def test_on_a_ramp_the_lead_is_the_car_ahead_on_the_ramp() -> None:
-    lead = scene(2, (1, 20.0, 15.0), (2, 40.0, 12.0), lanes=ramp_ahead(200.0)).lead
-    assert lead is not None
-    assert lead.id == 2
-
-
-@pytest.mark.parametrize(
-    ("slots", "expected"), [(LEFT, 1), (HURRY, 1), (Slots(outcome="directive", lane="keep"), None)]
-)
-def test_from_a_ramp_the_ego_is_sent_to_the_lane_beside_it_and_never_kept_on_it(
-    slots: Slots, expected: int | None
-) -> None:
-    planned = directive_of(slots, scene(2, (2, 40.0, 10.0), lanes=ramp_ahead(200.0)))
-    assert (planned.target_lane if isinstance(planned, Directive) else None) == expected
-
-
-@pytest.mark.parametrize(("speed", "key"), [(25.0, "limit"), (20.0, None)])
-def test_a_speed_cut_to_the_limit_is_said_to_be_whatever_the_model_says(speed: float, key: str | None) -> None:
-    slots = Slots(outcome="directive", target_speed_mps=speed, say="Gerne!", language="de")
-    assert directive_of(slots, scene(1)).say == (sentence(key, "de") if key else "Gerne!")
