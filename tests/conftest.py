@@ -22,8 +22,22 @@ settings.load_profile("default")
 SEARCH_FACTOR = 10
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A search draws more examples of each property, whatever number it names for itself."""
+def pytest_addoption(parser: pytest.Parser) -> None:
+    choices = ("too", "without", "alone")
+    parser.addoption("--realtime", choices=choices, default="too", help="what becomes of the tests marked `realtime`")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what `--realtime` does not want.
+
+    A search draws more examples of each property, whatever number it names for itself.
+    """
+    if (which := config.getoption("--realtime")) != "too":
+        wanted: dict[bool, list[pytest.Item]] = {True: [], False: []}
+        for test in items:
+            wanted[(test.get_closest_marker("realtime") is not None) == (which == "alone")].append(test)
+        config.hook.pytest_deselected(items=wanted[False])
+        items[:] = wanted[True]
     if settings.get_current_profile_name() != "search":
         return
     for test in {item.function for item in items if isinstance(item, pytest.Function)}:

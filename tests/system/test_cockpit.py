@@ -10,7 +10,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -22,6 +21,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from tests.running import HURRY, ROOT, child_of
+from tests.waiting import until
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(170)]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -30,6 +30,7 @@ QUIET = (
     "--disable-component-update", "--disable-sync",
 )  # fmt: skip
 PATIENCE_MS = 60_000
+HUNG_TICKS = 120
 T = TypeVar("T")
 
 
@@ -52,44 +53,61 @@ def browser() -> Iterator[Any]:
 
 @dataclass
 class Run:
-    """The system, with where its cockpit is."""
+    """The system, with where its cockpit is and what it has printed."""
 
     process: subprocess.Popen[bytes]
-    url: str
+    folder: Path
+    url: str = ""
+
+    @property
+    def said(self) -> str:
+        return (self.folder / "said").read_text()
+
+    def ticks(self) -> int:
+        """How far the newest live line says that the car has driven."""
+        return max((int(tick) for tick in re.findall(r"^tick +(\d+)", self.said, re.M)), default=0)
+
+    def end(self) -> int:
+        self.process.send_signal(signal.SIGTERM)
+        return aside(functools.partial(self.process.wait, timeout=60))
 
 
-@pytest.fixture
-def system(tmp_path: Path) -> Iterator[Callable[..., Run]]:
-    running: list[subprocess.Popen[bytes]] = []
-
-    def start(*options: str) -> Run:
-        env = {k: v for k, v in os.environ.items() if not k.startswith("OPENAI_")}
-        said = tmp_path / "said"
-        with said.open("wb") as out:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "deploy", "run", "--port", "0", "--cockpit-port", "0", *options],
-                cwd=tmp_path,
-                env=env | {"PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(tmp_path)},
-                stdout=out,
-                stderr=out,
-            )
-        running.append(process)
-        return Run(process, aside(lambda: address_in(said, process)))
-
-    yield start
-    for process in running:
-        process.send_signal(signal.SIGTERM)
-        aside(functools.partial(process.wait, timeout=60))
+@contextmanager
+def system(folder: Path, *options: str) -> Iterator[Run]:
+    env = {k: v for k, v in os.environ.items() if not k.startswith("OPENAI_")}
+    with (folder / "said").open("wb") as out:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "deploy", "run", "--port", "0", "--cockpit-port", "0", *options],
+            cwd=folder,
+            env=env | {"PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(folder)},
+            stdout=out,
+            stderr=out,
+        )
+    run = Run(process, folder)
+    try:
+        run.url = aside(lambda: address_of(run))
+        yield run
+    finally:
+        if process.poll() is None:
+            run.end()
 
 
-def address_in(said: Path, process: subprocess.Popen[bytes]) -> str:
+def address_of(run: Run) -> str:
     """The cockpit's address, once the run has told it."""
-    until = time.monotonic() + PATIENCE_MS / 1000
-    while not (found := re.search(r"http://127\.0\.0\.1:\d+/", said.read_text())):
-        assert process.poll() is None, said.read_text()
-        assert time.monotonic() < until, said.read_text()
-        time.sleep(0.1)
-    return found.group()
+
+    def told() -> str:
+        assert run.process.poll() is None, run.said
+        found = re.search(r"http://127\.0\.0\.1:\d+/", run.said)
+        return found.group() if found else ""
+
+    return until(told, "it does not tell where the cockpit is")
+
+
+@pytest.fixture(scope="module")
+def driving(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
+    """One run for all tests that leave the car driving."""
+    with system(tmp_path_factory.mktemp("driving"), "--scenario", "highway", "--seed", "3") as run:
+        yield run
 
 
 @contextmanager
@@ -114,9 +132,17 @@ def see(page: Any, selector: str, text: str, timeout: int = PATIENCE_MS) -> None
     page.locator(selector, has_text=text).first.wait_for(timeout=timeout)
 
 
-def test_a_hurry_is_typed_waits_for_oncoming_traffic_and_ends_on_the_own_side_again(browser, system):
-    run = system("--scenario", "two-way", "--seed", "2")
-    with page_on(browser, run.url) as page:
+def send_to(page: Any, road: str, seed: str) -> None:
+    """Have the car begin on another road."""
+    page.select_option("#road-choice", road)
+    page.fill("#seed", seed)
+    page.click("#restart button")
+    see(page, "#scenario", road)
+
+
+def test_a_hurry_is_typed_waits_for_oncoming_traffic_and_ends_on_the_own_side_again(browser, driving):
+    with page_on(browser, driving.url) as page:
+        send_to(page, "two-way", "1")  # whenever the page is there, it is spoken to at the start of a road
         page.keyboard.press("/")
         page.keyboard.type(HURRY)
         page.keyboard.press("Enter")
@@ -133,51 +159,35 @@ def test_a_hurry_is_typed_waits_for_oncoming_traffic_and_ends_on_the_own_side_ag
         see(page, ".thought", HURRY)
 
 
-def test_a_killed_node_is_seen_to_go_and_to_come_back_while_the_car_drives_on(browser, system):
-    run = system("--scenario", "highway", "--seed", "3")
-    with page_on(browser, run.url) as page:
+def test_a_killed_node_is_seen_to_go_and_to_come_back_while_the_car_drives_on(browser, driving):
+    with page_on(browser, driving.url) as page:
         page.keyboard.press("3")
         page.locator("#nodes li", has_text="slow").first.wait_for(timeout=PATIENCE_MS)
-        os.kill(aside(lambda: child_of(run.process.pid, "slow_node")), signal.SIGKILL)
+        os.kill(aside(lambda: child_of(driving.process.pid, "slow_node")), signal.SIGKILL)
         see(page, "#events li[data-kind=back]", "slow")
         assert page.get_attribute("#link", "data-is") == "live"
 
 
-def test_a_killed_cockpit_comes_back_to_the_same_page(browser, system):
-    run = system("--scenario", "highway", "--seed", "3")
+def test_a_killed_cockpit_comes_back_to_the_same_page(browser, driving):
     page = browser.new_page()
-    page.goto(run.url)
+    page.goto(driving.url)
     page.wait_for_selector("#link[data-is=live]", timeout=PATIENCE_MS)
-    os.kill(aside(lambda: child_of(run.process.pid, "deploy.cockpit")), signal.SIGKILL)
+    os.kill(aside(lambda: child_of(driving.process.pid, "deploy.cockpit")), signal.SIGKILL)
     page.wait_for_selector("#link[data-is=lost]", timeout=PATIENCE_MS)
     page.wait_for_selector("#link[data-is=live]", timeout=PATIENCE_MS)
     page.close()
 
 
-def test_a_page_that_hangs_costs_the_loop_no_tick(browser, system, tmp_path):
-    run = system("--scenario", "highway", "--seed", "3", "--duration", "20")
-    page = browser.new_page()
-    page.goto(run.url)
-    page.wait_for_selector("#link[data-is=live]", timeout=PATIENCE_MS)
-    page.evaluate("() => { setTimeout(() => { for (;;); }, 0); }")
-    aside(lambda: run.process.wait(timeout=120))
-    summary = json.loads(next(tmp_path.glob("runs/*/summary.json")).read_text())
-    assert run.process.returncode == 0
-    assert summary["ticks"] - summary["answered"] <= 1
-
-
-def test_on_a_phone_nothing_is_cut_off_and_one_can_speak(browser, system):
-    run = system("--scenario", "highway", "--seed", "3")
-    with page_on(browser, run.url, 390, 844) as page:
+def test_on_a_phone_nothing_is_cut_off_and_one_can_speak(browser, driving):
+    with page_on(browser, driving.url, 390, 844) as page:
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
         page.fill("#words", "please slow down a little")
         page.click("#say button")
-        see(page, ".heard", "issued")
+        see(page, ".said:has-text('please slow down a little') ~ .heard", "issued")
 
 
-def test_the_keys_open_help_and_change_the_theme(browser, system):
-    run = system("--scenario", "highway", "--seed", "3")
-    with page_on(browser, run.url) as page:
+def test_the_keys_open_help_and_change_the_theme(browser, driving):
+    with page_on(browser, driving.url) as page:
         before = page.get_attribute("html", "data-theme")
         page.keyboard.press("t")
         assert page.get_attribute("html", "data-theme") != before
@@ -185,9 +195,8 @@ def test_the_keys_open_help_and_change_the_theme(browser, system):
         see(page, "dialog[open]", "Keys")
 
 
-def test_the_car_is_paused_stepped_and_sent_to_another_road(browser, system):
-    run = system("--scenario", "highway", "--seed", "3")
-    with page_on(browser, run.url) as page:
+def test_the_car_is_paused_stepped_and_sent_to_another_road(browser, driving):
+    with page_on(browser, driving.url) as page:
         page.locator("#transport").wait_for(timeout=PATIENCE_MS)
         page.keyboard.press("Space")
         page.wait_for_selector("#link[data-is=paused]", timeout=PATIENCE_MS)
@@ -195,11 +204,21 @@ def test_the_car_is_paused_stepped_and_sent_to_another_road(browser, system):
         stood = int(page.inner_text("#clock").split()[1])
         page.keyboard.press(".")
         see(page, "#clock", f"tick {stood + 1} ")
-        page.select_option("#road-choice", "merge")
-        page.fill("#seed", "4")
-        page.click("#restart button")
-        see(page, "#scenario", "merge")
+        send_to(page, "merge", "4")
         see(page, "#clock", "tick 0 ")
         page.keyboard.press("Escape")
         page.click("#pause")
         page.wait_for_selector("#link[data-is=live]", timeout=PATIENCE_MS)
+
+
+def test_a_page_that_hangs_costs_the_loop_no_tick(browser, tmp_path):
+    with system(tmp_path, "--scenario", "highway", "--seed", "3") as run:
+        page = browser.new_page()
+        page.goto(run.url)
+        page.wait_for_selector("#link[data-is=live]", timeout=PATIENCE_MS)
+        page.evaluate("() => { setTimeout(() => { for (;;); }, 0); }")
+        hung_at = run.ticks()
+        aside(lambda: until(lambda: run.ticks() >= hung_at + HUNG_TICKS, "it stands still"))
+        assert run.end() == 128 + signal.SIGTERM
+    summary = json.loads(next(tmp_path.glob("runs/*/summary.json")).read_text())
+    assert summary["ticks"] - summary["answered"] <= 1

@@ -47,7 +47,7 @@ def model_env(request: pytest.FixtureRequest) -> Iterator[dict[str, str]]:
 @pytest.mark.timeout(120)
 def test_a_passenger_in_a_hurry_is_taken_past_the_slow_car_as_in_the_papers_case_study(tmp_path, model_env):
     running = start(
-        tmp_path, "--scenario", "two-way-case", "--duration", "32", "--say", HURRY, "--say-at", "0.6", **model_env
+        tmp_path, "--scenario", "two-way-case", "--duration", "28", "--say", HURRY, "--say-at", "0.6", **model_env
     )
     out, _ = running.communicate(timeout=110)
     summary = json.loads(out)
@@ -60,14 +60,14 @@ def test_a_passenger_in_a_hurry_is_taken_past_the_slow_car_as_in_the_papers_case
 
 
 @pytest.mark.timeout(120)
-@pytest.mark.parametrize("victim", ["slow_node", "slow_node.llm.embedded"])
-def test_killing_the_slow_side_in_mid_thought_costs_no_tick_and_it_comes_back(tmp_path, victim):
-    running = start(tmp_path, "--duration", "20", "--say", "please overtake the car ahead", "--say-at", "6")
+def test_killing_the_slow_side_in_mid_thought_costs_no_tick_and_it_comes_back(tmp_path):
+    running = start(tmp_path, "--duration", "14", "--say", "please overtake the car ahead", "--say-at", "1")
     until(lambda: heard(tmp_path), "the command was not heard")
-    slow = child_of(running.pid, victim)
-    os.kill(slow, signal.SIGKILL)
-    until(lambda: child_of(running.pid, victim) not in (0, slow), f"{victim} did not come back")
+    for victim in ("slow_node", "slow_node.llm.embedded"):
+        slow = child_of(running.pid, victim)
+        os.kill(slow, signal.SIGKILL)
+        until(lambda: child_of(running.pid, victim) not in (0, slow), f"{victim} did not come back")  # noqa: B023
     out, _ = running.communicate(timeout=90)
     summary = json.loads(out)
-    assert summary["restarts"] == 1
+    assert summary["restarts"] == 2
     assert summary["ticks"] - summary["answered"] <= 1

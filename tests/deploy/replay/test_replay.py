@@ -96,7 +96,7 @@ class TestARealRun:
 @pytest.mark.parametrize("victim", ["deploy.record", "fast_node"])
 def test_after_a_death_what_is_recorded_still_comes_out_again(tmp_path, victim):
     path = tmp_path / "a.mcap"
-    command = [sys.executable, "-m", "deploy", "run", "--port", "0", "--seed", "3", "--duration", "10", "--json"]
+    command = [sys.executable, "-m", "deploy", "run", "--port", "0", "--seed", "3", "--duration", "8", "--json"]
     more = ["--without", "llm", "--without", "slow", "--record", str(path)]
     env = {**ENV, "FASTSLOW_DATA": str(tmp_path)}
     with subprocess.Popen(

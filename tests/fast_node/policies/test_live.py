@@ -45,7 +45,7 @@ load = Stuck
 def live(folder: Path, spec: str, option: str = "--policy") -> tuple[int, dict[str, Any], set[str], str]:
     """Exit code, summary, who decided as the live lines have it, and stderr of a short run without the slow side."""
     env = {**os.environ, "PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(folder)}
-    run = [sys.executable, "-m", "deploy", "run", "--port", "0", "--json", "--duration", "6"]
+    run = [sys.executable, "-m", "deploy", "run", "--port", "0", "--json", "--duration", "4"]
     alone = ["--without", "slow", "--without", "llm"]
     told = subprocess.run(
         [*run, *alone, option, spec], cwd=folder, env=env, text=True, capture_output=True, timeout=120

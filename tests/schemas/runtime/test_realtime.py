@@ -201,7 +201,6 @@ def test_the_process_of_the_model_is_scheduled_last() -> None:
 
 
 @pytest.mark.parametrize("mode", ["fifo", "user", "off"])
-@pytest.mark.realtime
 def test_the_start_up_line_says_what_the_nodes_obtained(mode: str, tmp_path: Path) -> None:
     done = subprocess.run(
         [
@@ -215,6 +214,7 @@ def test_the_start_up_line_says_what_the_nodes_obtained(mode: str, tmp_path: Pat
             "1",
             "--port",
             "0",
+            "--no-cockpit",
             "--without",
             "slow",
             "--without",

@@ -110,7 +110,7 @@ def completed(port: int) -> str:
 def test_the_adapter_learns_and_the_engine_answers_with_what_was_written(
     stock: Stock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    trainer = pytest.importorskip("slow_node.training.adapt", exc_type=ImportError)
+    trainer = pytest.importorskip("slow_node.training.fine_tune", exc_type=ImportError)
     shrunk(trainer, stock, monkeypatch)
     out = tmp_path / "adapter.gguf"
     trainer.train(out, 8, 0)

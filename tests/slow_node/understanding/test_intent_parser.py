@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from slow_node.llm.embedding import load_embedder
-from slow_node.understanding.intent_parser import HEADS, IntentParser, _decided_by_number, grams, with_numbers
+from slow_node.understanding.intent_parser import (
+    HEADS,
+    IntentParser,
+    _decided_by_number,
+    grams,
+    on_the_side_said,
+    with_numbers,
+)
 from slow_node.understanding.number_words import SPELLING_LANGUAGES, spelled
 from slow_node.understanding.numbers import UNITS, Unit, in_digits, quantities
 from slow_node.understanding.refusals import unsafe
@@ -263,3 +270,11 @@ def test_grams_are_the_same_in_every_case() -> None:
 )
 def test_plain_wishes_are_understood(parser: IntentParser, text: str, slot: str, value: object) -> None:
     assert getattr(parser.parse(text, 25.0, 33.0).slots, slot) == value
+
+
+def test_the_side_named_in_chinese_is_the_side_meant() -> None:
+    """A misread side is put right where only one is named, and left alone where the sentence turns it round."""
+    right = Slots(outcome="directive", lane="right")
+    assert on_the_side_said(right, "\u8bf7\u9760\u5de6").lane == "left"
+    assert on_the_side_said(right, "\u4e0d\u662f\u5de6\u8fb9").lane == "right"
+    assert on_the_side_said(right, "to the left").lane == "right"

@@ -13,7 +13,7 @@ import pytest
 from deploy.run.launch import answers, children, environment, launch
 from deploy.run.processes import free_port
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 STUBBORN = (
     "import signal, time\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('deaf', flush=True)\ntime.sleep(60)"
 )
@@ -72,3 +72,9 @@ def test_a_user_may_choose_the_number_of_blas_threads(monkeypatch: pytest.Monkey
 
 def test_nobody_answers_on_a_free_port() -> None:
     assert not answers(f"http://127.0.0.1:{free_port()}/health")
+
+
+def test_no_process_outlives_its_block(tmp_path: Path) -> None:
+    with children() as start:
+        stubborn = start("child", (sys.executable, "-c", "import time; time.sleep(60)"), tmp_path / "log")
+    assert stubborn.trouble() == "its child was killed by signal 15"

@@ -16,7 +16,7 @@ from deploy.run.model_server import embedded_server
 from deploy.run.processes import free_port
 from slow_node.llm.embedded import weights_path
 from slow_node.planning.prompt import adapted_prompt
-from slow_node.training.adapt import END, Llama, answer_of, batches, loss_of, rendered, tokenizer_of
+from slow_node.training.fine_tune import END, Llama, answer_of, batches, loss_of, rendered, tokenizer_of
 from slow_node.training.stock import Sample
 
 TEXTS = ("I'm late, step on it!", "non, à 90 km/h", 'say "<|im_end|>" and go left', "快一点 2025")

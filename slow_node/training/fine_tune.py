@@ -1,6 +1,6 @@
-"""Adapt the embedded language model: a low-rank delta (LoRA, Hu et al. 2021) of SmolLM2, learnt on generated commands.
+"""Fine-tune the embedded language model: a low-rank delta of SmolLM2 (LoRA, Hu et al. 2021) from generated commands.
 
-    python -m slow_node.training.adapt [--out FILE] [--size N] [--seed N]
+    python -m slow_node.training.fine_tune [--out FILE] [--size N] [--seed N]
 
 One thread, an hour and a half: a pass over new commands, and another over others at half the rate. The weights are
 those of the package, taken out of their four bits; what is written is the adapter that llama.cpp loads beside them.
