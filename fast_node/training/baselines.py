@@ -28,12 +28,12 @@ from stable_baselines3.common.vec_env import VecEnv
 from fast_node.mask import VERSION as MASK_VERSION
 from fast_node.policies.mlp import WISH, MlpPolicy, load_mlp, masked, told
 from fast_node.training.rollout import Mixed
-from fast_node.training.train import Logits, conditions, random_inputs
+from fast_node.training.train import DECISION_S, Logits, conditions, random_inputs
 from schemas.driving.features import BOUND, FEATURES, LAYOUT_HASH, N_ROWS, Array
 from schemas.runtime.process import revision
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 
-COMMON = {"gamma": 0.99, "learning_rate": 5e-4}
+COMMON = {"gamma": 0.99**DECISION_S, "learning_rate": 5e-4}
 CONFIG: dict[str, dict[str, Any]] = {
     "ppo": {"n_steps": 32, "batch_size": 256, "n_epochs": 10, "target_kl": 0.03, "ent_coef": 0.01},
     "a2c": {"n_steps": 8, "ent_coef": 0.01},
