@@ -16,6 +16,7 @@ commands = typer.Typer()
     epilog="Examples:\n\n  fastslow train\n\n"
     "  fastslow train --scenario highway --steps 20000 --seed 1 --out mine.safetensors\n\n"
     "  fastslow train --start mine.safetensors --learning-rate 1e-4 --scenario merge\n\n"
+    "  fastslow train --algorithm taught --scenario merge --scenario exit --steps 48000\n\n"
     "  fastslow train --algorithm ppo --bare --out runs/ppo-bare.safetensors\n\n" + EXITS
 )
 def train(
@@ -50,15 +51,15 @@ def train(
     algorithm: Annotated[
         str,
         typer.Option(
-            help="ours; or a baseline for comparison: ppo, dqn or a2c, for which --resume, --start, --learning-rate "
-            "and --mask-preset are not."
+            help="ours; taught, by a teacher that tries things out (--steps: situations in all); or a baseline for "
+            "comparison: ppo, dqn or a2c. --resume, --start, --learning-rate and --mask-preset are for ours alone."
         ),
     ] = "ours",
     bare: Annotated[bool, typer.Option("--bare", help="A baseline as published: no mask, no directive.")] = False,
 ) -> None:
     """Learn one policy for the given roads (some minutes on one core)."""
     roads = scenario or ["highway", "merge", "two-way"]
-    if algorithm == "ours" and bare:
+    if algorithm in ("ours", "taught") and bare:
         raise typer.BadParameter("only a baseline: choose one by --algorithm", param_hint="'--bare'")
     ours_only = {
         "--resume": resume,
@@ -67,18 +68,21 @@ def train(
         "--mask-preset": mask_preset != "sim",
     }
     if algorithm != "ours" and (given := [option for option, chosen in ours_only.items() if chosen]):
-        raise typer.BadParameter("not for a baseline", param_hint=f"'{given[0]}'")
+        raise typer.BadParameter("for algorithm ours alone", param_hint=f"'{given[0]}'")
     if resume and start is not None:
         raise typer.BadParameter("a resumed run has begun already: leave one out", param_hint="'--start'")
     with readable_ends():
+        from deploy.lab.teaching import teach_policy
         from deploy.lab.training import train_baseline, train_policy
 
         figures = (
-            train_policy(out, roads, steps, seed, lr=learning_rate, resume=resume, start=start, preset=mask_preset)
+            teach_policy(out, roads, steps, seed)
+            if algorithm == "taught"
+            else train_policy(out, roads, steps, seed, lr=learning_rate, resume=resume, start=start, preset=mask_preset)
             if algorithm == "ours"
             else train_baseline(algorithm, out, roads, steps, seed, bare=bare)
         )
-    told = [f"{name} {figures[name]:.3g}" for name in ("episodic_return", "crash_rate") if name in figures]
+    told = [f"{name} {figures[name]:.3g}" for name in ("episodic_return", "crash_rate", "loss") if name in figures]
     typer.echo(": ".join((str(out), *told)), err=True)
 
 

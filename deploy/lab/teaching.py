@@ -1,4 +1,5 @@
-"""`fastslow train --teach`: a teacher tries things out in copies of the batched worlds, and a policy learns from it."""
+"""`fastslow train --algorithm taught`: a teacher tries things out in copies of the scenes, and a policy learns from
+it."""
 
 from __future__ import annotations
 
