@@ -87,7 +87,7 @@ def teach_policy(out: Path, scenarios: Sequence[str], steps: int, seed: int, *, 
                 bar.advance(shown)
             torch.manual_seed(seed)
             net = ActorCritic(WIDTH, HEADS, LAYERS)
-            loss = learn(net, Lessons.together(lessons), epochs=20, lr=1e-3, seed=seed)
+            loss = learn(net, Lessons.together(lessons), epochs=12, lr=1e-3, seed=seed)
             bar.update(shown, description=f"being taught, loss {loss:.3f}")
             run = {"scenarios": list(scenarios), "seed": seed, **sidecar_of("sim")}
             taught = sum(len(one.action) for one in lessons)

@@ -17,7 +17,7 @@ from fast_node.training.rollout import Bools, Floats, Ints, Scenes
 from schemas.driving.features import Array
 
 EVERY = 3
-HARMLESS, MATTERS = 0.05, 0.015
+HARMLESS, MATTERS = 0.1, 0.02
 """A situation in which nothing else would have earned less weighs this much; one in which the second best action would
 have earned this much less weighs 1."""
 

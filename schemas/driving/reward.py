@@ -9,7 +9,7 @@ SCALE = 0.1
 """Returns near 1: unscaled rewards with a joint gradient clip make baselines straw men."""
 CRASH = -10.0
 BRAKE = -0.3
-NEAR = -2.5
+NEAR = -1.5
 """For coming within `NEAR_S` of a collision, rising as the smallest time to collision falls to 0."""
 NEAR_S = 8.0
 SHORT = -0.3
