@@ -42,7 +42,7 @@ class _Features(ObservationType):  # type: ignore[misc]
     def observe(self) -> NDArray[np.float32]:
         env: ScenarioEnv = self.env
         wish, ego = env.wish, env.ego
-        lanes, able, table = env.published_lanes(), env.action_masks(), env.seen().tolist()
+        lanes, table = env.published_lanes(), env.seen().tolist()
         return features(
             table,
             math.nan if wish.lane == ANY_LANE else lanes[wish.lane].y_m,
@@ -52,8 +52,6 @@ class _Features(ObservationType):  # type: ignore[misc]
             ego.previous_lane >= 0,
             lanes[ego.target_lane].end_m - table[0][X],
             ego.speed_cap,
-            bool(able[MetaAction.LEFT]),
-            bool(able[MetaAction.RIGHT]),
         )
 
 

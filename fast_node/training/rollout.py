@@ -17,9 +17,9 @@ from fast_node import choice, mask
 from fast_node.choice import MASKED
 from fast_node.mask.vocabulary import LEFT, RIGHT
 from fast_node.training.tracking import FleetTracks, Sense
-from schemas.driving.episode import REDIRECT_PER_S, Decision, Ending, Goal, closeness, ending, flags, held
+from schemas.driving.episode import REDIRECT_PER_S, Decision, Ending, Goal, closeness, ending, flags, held, replaced
 from schemas.driving.features import FEATURES, N_ROWS, Array, policy_input
-from schemas.driving.intent import ANY_LANE, NORMAL, STYLES, intended_lane, unasked_lane
+from schemas.driving.intent import ANY_LANE, NORMAL, intended_lane, unasked_lane
 from schemas.driving.measures import TTC_CAP_S
 from schemas.driving.road import DECISION_TICKS, HZ, LANE_END, LANE_Y, VX, X
 from schemas.runtime.compiled import compiled
@@ -309,7 +309,6 @@ class Scenes(Fleet):
 
     def _direct(self, which: Bools) -> None:
         for s in np.flatnonzero(which):
-            self.style[s] = self._rng.integers(len(STYLES))
             self.told_lane[s], self.pass_id[s], self.v_des[s], self.headway[s] = self.task.draw(
                 self._rng, self.world.rows[s], int(self.world.target_lane[s])
             )
@@ -335,7 +334,8 @@ class Scenes(Fleet):
         """
         w = self.world
         s = len(action)
-        logits = np.eye(POLICY_ACTIONS, dtype=np.float32)[action]
+        first = np.minimum(replaced(action, self.rule == mask.OPEN), POLICY_ACTIONS - 1)  # all closed: it brakes anyway
+        logits = np.eye(POLICY_ACTIONS, dtype=np.float32)[first]
         since = np.full(s, DECISION_TICKS)
         decision = Decision(action, w.rows[:, 0, X], w.accel)
         for k in range(self._decision_ticks):

@@ -22,6 +22,7 @@ from highway_env.road.road import Road
 from highway_env.utils import class_from_path
 from numpy.typing import NDArray
 
+from schemas.driving.episode import held
 from schemas.driving.road import HZ, ID
 from schemas.wire.messages import MetaAction
 from sim_node.engine import bridge
@@ -161,7 +162,7 @@ def _compare_ours(case: str, seed: int, seconds: float) -> list[Figures]:
         before = slow.steps
         theirs, ours = slow.step(action), fast.step(action)
         for k in range(slow.steps - before):
-            many.tick(np.array([action if k == 0 else int(MetaAction.CRUISE)]), np.array([goal]))
+            many.tick(np.array([action if k == 0 else held(action)]), np.array([goal]))
         ticks += slow.steps - before
         reference = _state(slow.road)
         state = _worst(state, _differ(reference, _state(fast.road)))
