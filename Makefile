@@ -4,7 +4,7 @@ BIN := .venv/bin
 TEXT ?= I'm in a hurry to get to work, I want to drive faster
 export TEXT
 
-.PHONY: setup setup-dev run say test parity difficulty study baselines film picture check mutants clean
+.PHONY: setup setup-dev run say test parity difficulty study policy baselines film picture check mutants clean
 .DEFAULT_GOAL := run
 
 # What driving, speaking and evaluating need: no torch.
@@ -50,11 +50,19 @@ difficulty: setup
 study: setup-dev
 	$(BIN)/fastslow study $(ARGS)
 
-# The baselines that `fastslow evaluate` knows, learnt anew as ours was: one policy for all roads, seed 0.
+# The roads that the shipped policy and the baselines learn on.
+ROADS := highway highway-natural merge merge-natural merge-dense merge-main exit roadworks two-way two-way-natural
+ON_ROADS := $(ROADS:%=--scenario %)
+
+# The shipped policy, taught anew: half an hour on two cores.
+policy: setup-dev
+	$(BIN)/fastslow train --algorithm taught $(ON_ROADS) --steps 48000 --seed 1 --out fast_node/checkpoints/fastslow.safetensors
+
+# The baselines that `fastslow evaluate` knows, on the same roads: one policy for all of them, the paper's budget, seed 0.
 baselines: setup-dev
 	for a in ppo dqn a2c; do \
-	  $(BIN)/fastslow train --algorithm $$a --bare --out fast_node/checkpoints/$$a-bare.safetensors || exit; \
-	  $(BIN)/fastslow train --algorithm $$a --out fast_node/checkpoints/$$a-masked.safetensors || exit; \
+	  $(BIN)/fastslow train --algorithm $$a $(ON_ROADS) --bare --out fast_node/checkpoints/$$a-bare.safetensors || exit; \
+	  $(BIN)/fastslow train --algorithm $$a $(ON_ROADS) --out fast_node/checkpoints/$$a-masked.safetensors || exit; \
 	done
 
 # The README's film, after the policy has changed.

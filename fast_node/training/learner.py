@@ -19,12 +19,12 @@ class LearnerConfig:
     """The paper's gamma (of a second) and learning rate; the rest is ours."""
 
     gamma: float = 0.99
-    lam: float = 0.97
+    lam: float = 0.95
     lr: float = 5e-4
     clip: float = 0.2
     target_kl: float = 0.02
     epochs: int = 6
-    minibatch: int = 512
+    minibatch: int = 256
     entropy: float = 0.01
     value_weight: float = 0.5
     max_grad_norm: float = 0.5

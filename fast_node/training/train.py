@@ -59,7 +59,7 @@ from schemas.driving.road import DECISION_TICKS, HZ
 from schemas.runtime.process import ConfigError, revision
 
 WIDTH, HEADS, LAYERS = 128, 2, 1
-ROLLOUT = 48
+ROLLOUT = 16
 """Decisions of every scene between two updates."""
 DECISION_S = DECISION_TICKS / HZ
 """The discount is that of a second."""

@@ -215,7 +215,8 @@ def test_a_ride_score_is_the_hand_computed_one() -> None:
     assert comfort(ride) == pytest.approx((0.5 + 0.5 + 0.75 + 0.25) / 4)
     assert progress(ride) == pytest.approx(0.8)
     assert obedience(ride) == pytest.approx((0.5 + 0.7 + 0.9) / 3)
-    assert ride_score(ride) == pytest.approx(100 * 0.7125 * (0.15 + 0.3 * 0.5 + 0.3 * 0.8 + 0.25 * 0.7))
+    assert ride_score(ride) == pytest.approx(100 * 0.7125 * (0.35 * 0.5 + 0.35 * 0.8 + 0.3 * 0.7))
+    assert ride_score(replace(ride, success=False)) == pytest.approx(0.4 * ride_score(ride))
 
 
 def test_a_wish_that_is_never_fulfilled_and_half_of_the_wished_speed_earn_nothing() -> None:

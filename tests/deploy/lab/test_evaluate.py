@@ -114,13 +114,13 @@ def test_idm_survives_where_cruising_does_not() -> None:
 
 
 @pytest.mark.parametrize("algorithm", BASELINES)
-def test_a_shipped_baseline_learnt_on_our_roads_with_our_budget_and_never_collides_behind_our_mask(
+def test_a_shipped_baseline_learnt_on_our_roads_with_the_papers_budget_and_never_collides_behind_our_mask(
     algorithm: str,
 ) -> None:
     ours = load_policy().sidecar
     theirs = [load_mlp(shipped(algorithm, variant)).sidecar for variant in VARIANTS]
     assert all(t["scenarios"] == ours["scenarios"] for t in theirs)
-    assert all(100_000 <= int(str(t["steps"])) <= int(str(ours["steps"])) for t in theirs)
+    assert all(int(str(t["steps"])) >= 100_000 for t in theirs)
     for name in ("highway", "merge", "two-way"):
         assert not any(r.collided for r in drive(f"{algorithm}-masked", SCENARIOS[name], range(1000, 1020)))
 
