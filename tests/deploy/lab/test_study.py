@@ -49,7 +49,7 @@ def vec_scenes(variant: str) -> Any:
 def drive_until_done(env: Any, action: MetaAction) -> list[tuple[np.ndarray, dict[str, Any]]]:
     """(what is seen next, info) of every scene whose first episode has ended, at the step where one did."""
     env.reset()
-    for _ in range(100):
+    for _ in range(300):
         seen, _, done, infos = env.step(np.full(env.num_envs, int(action)))
         if done.any():
             return [(seen[s], infos[s]) for s in np.flatnonzero(done)]
