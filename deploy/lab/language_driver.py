@@ -28,7 +28,7 @@ from deploy.run.processes import choose_model
 from fast_node.policies.rule import rule_logits
 from fast_node.training.rollout import Driver, Fleet
 from schemas.driving.intent import intended_lane
-from schemas.driving.road import DECISION_TICKS, HZ, ID, X
+from schemas.driving.road import HZ, ID, X
 from schemas.runtime.clock import NS, Clock, MonotonicClock
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction, Observation
@@ -185,7 +185,7 @@ def lessons(scenarios: Sequence[str] = LESSONS, seeds: Sequence[int] = LESSON_SE
             for scene in scenes.tolist():
                 action = MetaAction(driver.meta[scene])
                 # CRUISE is what it holds between two decisions, too: one a second is enough.
-                if action in taken and (action != MetaAction.CRUISE or tick % DECISION_TICKS == 0):
+                if action in taken and (action != MetaAction.CRUISE or tick % HZ == 0):
                     taken[action].append(world.observation(before, scene, tick))
         for action, seen in taken.items():
             step = max(math.ceil(len(seen) / LESSONS_EACH), 1)
@@ -251,7 +251,7 @@ def _episode(world: World, driver: LanguageDriver, paused: bool) -> EpisodeResul
             meta, waiting, decided = waiting[1], None, True
         if waiting is None and tick >= ask_from:
             action, took_s = driver.decide(world.observation(world.state(), 0, tick))
-            ask_from = tick + DECISION_TICKS  # at most one question a second, as theirs
+            ask_from = tick + HZ  # at most one question a second, as theirs
             if paused:
                 meta, decided = action, True
             else:
