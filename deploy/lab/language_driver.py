@@ -27,8 +27,9 @@ from deploy.run.model_server import embedded_server
 from deploy.run.processes import choose_model
 from fast_node.policies.rule import rule_logits
 from fast_node.training.rollout import Driver, Fleet
+from schemas.driving.episode import held
 from schemas.driving.intent import intended_lane
-from schemas.driving.road import HZ, ID, X
+from schemas.driving.road import HZ, ID, VX, X
 from schemas.runtime.clock import NS, Clock, MonotonicClock
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction, Observation
@@ -47,6 +48,8 @@ FIVE = tuple(MetaAction)[:POLICY_ACTIONS]
 LESSONS = ("highway", "merge", "two-way")
 LESSON_SEEDS = range(20)
 """Far from those of evaluation."""
+CAPPED_MPS = 0.5
+"""A speed cap this far below the speed is a lesson in slowing down."""
 LESSONS_EACH = 3
 """Experiences for every action of every scenario, where the teacher took it that often."""
 
@@ -184,6 +187,9 @@ def lessons(scenarios: Sequence[str] = LESSONS, seeds: Sequence[int] = LESSON_SE
             driver.tick()
             for scene in scenes.tolist():
                 action = MetaAction(driver.meta[scene])
+                slower = world.fleet.world.rows[scene, 0, VX] - world.fleet.cap_mps[scene] > CAPPED_MPS
+                if action == MetaAction.CRUISE and slower and tick % HZ == 0:
+                    action = MetaAction.SLOW_DOWN  # what the speed cap does for our drivers, this one does itself
                 # CRUISE is what it holds between two decisions, too: one a second is enough.
                 if action in taken and (action != MetaAction.CRUISE or tick % HZ == 0):
                     taken[action].append(world.observation(before, scene, tick))
@@ -243,10 +249,11 @@ def _episode(world: World, driver: LanguageDriver, paused: bool) -> EpisodeResul
     ask_from = 0
 
     never = np.zeros(1, np.bool_)
+    holding = int(MetaAction.CRUISE)
 
     def step(tick: int) -> Settled:
-        nonlocal waiting, ask_from
-        meta, decided = MetaAction.CRUISE, False
+        nonlocal waiting, ask_from, holding
+        meta, decided = MetaAction(holding), False
         if waiting is not None and waiting[0] <= tick:
             meta, waiting, decided = waiting[1], None, True
         if waiting is None and tick >= ask_from:
@@ -256,6 +263,7 @@ def _episode(world: World, driver: LanguageDriver, paused: bool) -> EpisodeResul
                 meta, decided = action, True
             else:
                 waiting = tick + max(math.ceil(took_s * HZ), 1), action
+        holding = held(int(meta))
         world.wish()
         world.batch.tick(np.full(1, int(meta)), world.fleet.v_des)
         return Settled(np.full(1, decided), has_choice(world.fleet), never, never)

@@ -20,7 +20,6 @@ from sim_node.env import ScenarioEnv
 from sim_node.scenarios import SCENARIOS
 from sim_node.scenarios.scenario import streams
 
-
 OF_THE_MASK = (CAP, LEFT_OPEN, RIGHT_OPEN)
 """Columns of the policy input that the environment, which knows no mask, cannot tell."""
 
