@@ -28,7 +28,6 @@ from deploy.run.processes import choose_model
 from fast_node.policies.rule import rule_logits
 from fast_node.training.rollout import Driver, Fleet
 from schemas.driving.episode import held
-from schemas.driving.intent import intended_lane
 from schemas.driving.road import HZ, ID, VX, X
 from schemas.runtime.clock import NS, Clock, MonotonicClock
 from schemas.runtime.process import ConfigError
@@ -132,20 +131,18 @@ def _answer(loop: asyncio.Runner, model: ChatModel, chat: Chat) -> Said:
 class World:
     """One scenario's road, one episode at a time, with a passenger in a hurry."""
 
-    def __init__(self, scenario: Scenario, scenes: int = 1) -> None:
+    def __init__(self, scenario: Scenario, scenes: int = 1, *, masked: bool = True) -> None:
         self.scenario = scenario
         self.batch = Batched(scenario, scenes, 0)
-        self.fleet = Fleet(self.batch, task_of(scenario))
+        self.fleet = Fleet(self.batch, task_of(scenario), masked=masked)
 
     def load(self, scene: int, seed: int) -> None:
         """That seed's traffic and wish."""
         load(self.fleet, self.scenario, scene, seed, "hurry")
 
     def wish(self) -> None:
-        """The lane that the passenger wishes each ego in now, for the measures: `Fleet.look` without the mask."""
-        fleet = self.fleet
-        for scene, rows in enumerate(self.batch.rows.tolist()):
-            fleet.wish[scene] = intended_lane(rows, int(fleet.told_lane[scene]), int(fleet.pass_id[scene]))
+        """The lane that the passenger wishes each ego in now, for the measures."""
+        self.fleet.look()
 
     def state(self) -> tuple[NDArray[Any], ...]:
         """What the egos see now, by scene: rows, speed and lane set-points, the lane that a change left."""
@@ -236,7 +233,7 @@ def drive_dilu(
     `bank`: see `memory`. Raises `ConfigError` where the model cannot be used.
     """
     driver = LanguageDriver(bank, ask, clock or MonotonicClock())
-    world = World(scenario)
+    world = World(scenario, masked=False)
     results = []
     for seed in seeds:
         world.load(0, seed)

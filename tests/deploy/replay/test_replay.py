@@ -57,7 +57,7 @@ class TestARealRun:
         assert set(result["unchecked"].values()) == {0}
 
     def test_another_driver_is_shown_to_decide_otherwise(self, recording):
-        shown = fastslow("replay", str(recording), "--policy", "constant:left", "--json", folder=recording.parent)
+        shown = fastslow("replay", str(recording), "--policy", "constant:slower", "--json", folder=recording.parent)
         result = json.loads(shown.stdout)
         assert sum(row["ticks"] for row in result["table"]) == result["otherwise"] > 0
         assert all(one["recorded"] != one["other"] for one in result["first"])
