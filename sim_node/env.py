@@ -178,13 +178,15 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         return observation
 
     def step(self, action: int) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """One decision: the action at its first tick, then the set-points hold; the guard watches every tick."""
+        """One decision: the action at its first tick, then what was done there is held; the guard watches every tick."""
         ego = self.ego
         decision = Decision(np.array([int(action)]), self.rows()[:1, X], np.array([ego.acceleration]))
         for k in range(self._ticks_per_decision):
-            meta = int(action) if k == 0 else held(int(action))
+            meta = int(action) if k == 0 else holding
             if self.guard is not None:
                 meta = self.guard(self, meta)
+            if k == 0:
+                holding = held(meta)
             ego.speed_goal = self.wish.speed_mps
             self.tick(meta)
             table = self.rows().tolist()

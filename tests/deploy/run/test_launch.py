@@ -25,8 +25,8 @@ def python(code: str) -> tuple[str, ...]:
 
 
 def written(log: Path) -> str:
-    """What a process writes first."""
-    while not (text := log.read_text()):
+    """The first line that a process writes, whole."""
+    while not (text := log.read_text()).endswith("\n"):
         os.sched_yield()
     return text
 
