@@ -178,15 +178,14 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         return observation
 
     def step(self, action: int) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """One decision: the action at its first tick, then what was done there is held; the guard watches every tick."""
+        """One decision: the action at its first tick, then what was done there holds; the guard watches every tick."""
         ego = self.ego
         decision = Decision(np.array([int(action)]), self.rows()[:1, X], np.array([ego.acceleration]))
+        doing = int(action)
         for k in range(self._ticks_per_decision):
-            meta = int(action) if k == 0 else holding
-            if self.guard is not None:
-                meta = self.guard(self, meta)
+            meta = doing if self.guard is None else self.guard(self, doing)
             if k == 0:
-                holding = held(meta)
+                doing = held(meta)
             ego.speed_goal = self.wish.speed_mps
             self.tick(meta)
             table = self.rows().tolist()
