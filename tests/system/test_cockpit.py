@@ -221,4 +221,5 @@ def test_a_page_that_hangs_costs_the_loop_no_tick(browser, tmp_path):
         aside(lambda: until(lambda: run.ticks() >= hung_at + HUNG_TICKS, "it stands still"))
         assert run.end() == 128 + signal.SIGTERM
     summary = json.loads(next(tmp_path.glob("runs/*/summary.json")).read_text())
-    assert summary["ticks"] - summary["answered"] <= 1
+    # A loop that waited for the page would lose all of them; a busy machine takes one now and then.
+    assert summary["ticks"] - summary["answered"] <= 0.02 * summary["ticks"]
