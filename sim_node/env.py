@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,8 @@ from sim_node.engine.accelerated import Accelerated
 from sim_node.episode import Wishes, populate
 from sim_node.observe import perceived, rows
 from sim_node.road import LaneMap, has_left, network
-from sim_node.scenarios import SCENARIOS, Scenario
+from sim_node.scenario_file import find_scenario
+from sim_node.scenarios import Scenario
 from sim_node.scenarios.scenario import streams
 
 Guard = Callable[["ScenarioEnv", int], int]
@@ -86,27 +87,24 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         duration_s: float | str | None = "scenario",
         guard: Guard | None = None,
         density: float = 1.0,
+        traffic: Sequence[str] = (),
         noise_m: float = 0.0,
         noise_mps: float = 0.0,
         dropout: float = 0.0,
         config: dict[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
-        """`scenario`: a name or your own; raises ValueError for an unknown name or rates that do not divide.
+        """`scenario`: a name, a FILE.toml or your own. Raises ValueError for another, and rates that do not divide.
 
         decision_hz: actions per second, a divisor of hz; hz: simulated ticks per second; guard: see `Guard`;
-        density: times the scenario's own; noise_m, noise_mps, dropout: see `observe.perceived`, in what is observed.
+        density, traffic: see `Scenario.varied`; noise_m, noise_mps, dropout: see `observe.perceived`.
         """
         if isinstance(scenario, str):
-            if scenario not in SCENARIOS:
-                raise ValueError(f"scenario {scenario!r} is not one of: {', '.join(SCENARIOS)}")
-            scenario = SCENARIOS[scenario]
+            scenario = find_scenario(scenario)
         if decision_hz < 1 or hz % decision_hz:
             # highway-env would floor the quotient and let time drift.
             raise ValueError(f"decision_hz {decision_hz} does not divide {hz} ticks a second: use 1, 3, 5 or {hz}")
-        if density != 1.0:
-            scenario = scenario.denser(density)
-        self.scenario = scenario
+        self.scenario = scenario = scenario.varied(traffic, density)
         self.guard = guard
         self._rows: NDArray[np.float32] | None = None
         self._seen: NDArray[np.float32] | None = None

@@ -70,11 +70,10 @@ class SimNode:
         self._config = config
         self._first = self.metrics.episodes
         self._env = ScenarioEnv(
-            config.scenario,
+            config.road(),
             hz=config.hz,
             decision_hz=config.hz,
             duration_s=None,
-            density=config.density,
             noise_m=config.noise_m,
             noise_mps=config.noise_mps,
             dropout=config.dropout,
@@ -86,12 +85,10 @@ class SimNode:
 
         Raises ValueError if there is no such road or seed; then nothing has changed.
         """
-        config = self._config
-        self.build(
-            msgspec.structs.replace(
-                config, scenario=scenario or config.scenario, seed=config.seed if seed is None else seed
-            )
-        )
+        config = msgspec.structs.replace(self._config, seed=self._config.seed if seed is None else seed)
+        if scenario not in ("", config.scenario):
+            config = msgspec.structs.replace(config, scenario=scenario, scenario_toml="")
+        self.build(config)
         self.reset(self.epoch + 1)
         self.announce("as ordered", now_ns)
 

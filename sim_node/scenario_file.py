@@ -19,6 +19,8 @@ import msgspec
 
 from sim_node.scenarios import SCENARIOS, Scenario
 
+FILE = ".toml"
+
 
 def find_scenario(spec: str) -> Scenario:
     """The scenario of that name, or of the file FILE.toml, called as its file is unless it says otherwise.
@@ -27,11 +29,22 @@ def find_scenario(spec: str) -> Scenario:
     """
     if spec in SCENARIOS:
         return SCENARIOS[spec]
-    if not spec.endswith(".toml"):
-        raise ValueError(f"scenario {spec!r} is not one of: {', '.join(SCENARIOS)}; or give a FILE.toml")
-    path = Path(spec)
+    if not spec.endswith(FILE):
+        raise ValueError(f"scenario {spec!r} is not one of: {', '.join(SCENARIOS)}; or give a FILE{FILE}")
     try:
-        said = tomllib.loads(path.read_text(encoding="utf-8"))
+        text = Path(spec).read_text(encoding="utf-8")
+    except OSError as error:
+        raise ValueError(f"scenario file {spec}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ValueError(f"scenario file {spec}: it is no text") from None
+    return scenario_of(spec, text)
+
+
+def scenario_of(file: str, text: str) -> Scenario:
+    """The scenario that a file of this name with this text has. Raises ValueError where it has none."""
+    path = Path(file)
+    try:
+        said = tomllib.loads(text)
         base = said.pop("base", None)
         if base is not None and base not in SCENARIOS:
             raise ValueError(f"base {base!r} is not one of: {', '.join(SCENARIOS)}")
@@ -41,8 +54,8 @@ def find_scenario(spec: str) -> Scenario:
         scenario: Scenario = msgspec.convert(whole, kind)
         _refuse_unknown(said, msgspec.to_builtins(scenario), "")
         return scenario
-    except (OSError, ValueError, msgspec.ValidationError) as error:
-        raise ValueError(f"scenario file {spec}: {error}") from None
+    except (ValueError, msgspec.ValidationError) as error:
+        raise ValueError(f"scenario file {file}: {error}") from None
 
 
 def _merged(base: dict[str, Any], said: dict[str, Any]) -> dict[str, Any]:

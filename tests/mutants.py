@@ -6,7 +6,7 @@ tests of its part, cheapest first, up to the first failure, then the digest of b
 "unsafe": the report counts its kills apart. Survivors are listed with a reason from `mutants.toml`; without one, or
 above `MOST`, the command fails.
 
-    python -m tests.mutants [PART ...]     the parts named, or all; only all of them write the report
+    python -m tests.mutants [PART ...]     the parts named, or all; each writes its row of the report when it is done
 """
 
 from __future__ import annotations
@@ -257,7 +257,7 @@ def run(name: str) -> tuple[list[Mutant], list[int]]:
     gc.freeze()  # the forks share what there is
     waiting, running, began = list(range(len(mutants)))[::-1], dict[int, int](), time.monotonic()
     while waiting or running:
-        while waiting and len(running) < (os.cpu_count() or 1):
+        while waiting and len(running) < len(os.sched_getaffinity(0)):
             k = waiting.pop()
             pid = fork(partial(judge, mutants[k], part, scenes, expected), 5.0 * cpu_s + 10.0)
             running[pid] = k
@@ -292,17 +292,30 @@ def row_of(name: str) -> dict[str, Any]:
     }
 
 
+def write(row: dict[str, Any]) -> None:
+    """Put a part's row into the report, in the place of its last one."""
+    rows: dict[str, dict[str, Any]] = {part.sources: {} for part in PARTS.values()}
+    if REPORT.exists():
+        rows |= {old["module"]: old for old in json.loads(REPORT.read_text())["rows"] if old["module"] in rows}
+    rows[row["module"]] = row
+    REPORT.parent.mkdir(exist_ok=True)
+    report = {"schema": "mutants/1", "rows": [known for known in rows.values() if known]}
+    REPORT.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n")
+
+
 def main(names: Sequence[str]) -> int:
-    rows = [row_of(name) for name in names or PARTS]
-    faults = []
-    for row in rows:
+    unknown = sorted(set(names) - set(PARTS))
+    if unknown:
+        raise SystemExit(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")
+    rows: list[dict[str, Any]] = []
+    faults: list[str] = []
+    for name in names or PARTS:
+        rows.append(row := row_of(name))
+        write(row)
         unexplained = [f"{r['where']}: {r['change']}" for r in row["listed"] if not r["reason"]]
         faults += unexplained
         if row["survived"] > MOST * row["mutants"]:
             faults.append(f"{row['module']}: {row['survived']} of {row['mutants']} survive")
-    if not names:
-        REPORT.parent.mkdir(exist_ok=True)
-        REPORT.write_text(json.dumps({"schema": "mutants/1", "rows": rows}, indent=1, ensure_ascii=False) + "\n")
     for row in rows:
         print({k: v for k, v in row.items() if k != "listed"})
     print(*faults, sep="\n")

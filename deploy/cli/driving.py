@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from deploy.cli.options import DEFAULT_PORT, EXITS, Dropout, Json, NoiseM, NoiseMps, Port
+from deploy.cli.options import DEFAULT_PORT, EXITS, Density, Dropout, Json, NoiseM, NoiseMps, Port, Traffic, names
 
 commands = typer.Typer()
 
@@ -15,6 +15,7 @@ commands = typer.Typer()
 @commands.command(
     epilog="Examples:\n\n  fastslow run\n\n"
     '  fastslow run --duration 40 --say "I\'m in a hurry" --say-at 3 --json\n\n'
+    "  fastslow run --scenario highway --density 2 --traffic trucks,sway\n\n"
     "  fastslow run --policy mine:load    (your own policy: a callable load in mine.py that returns it)\n\n"
     "  fastslow run --without fast        (to bring your own node)\n\n"
     "With OPENAI_API_KEY (and OPENAI_BASE_URL, OPENAI_MODEL) set, that model is asked instead of "
@@ -22,14 +23,11 @@ commands = typer.Typer()
 )
 def run(
     scenario: Annotated[
-        str,
-        typer.Option(
-            help="What road to drive on: highway, merge, two-way, merge-main, roadworks; highway-, merge- or "
-            "two-way-natural."
-        ),
+        str, typer.Option(metavar="NAME|FILE.toml", help="Where: a road's name, or a file that changes one.")
     ] = "two-way-natural",
     seed: Annotated[int, typer.Option(min=0, help="Which traffic there is on it.")] = 0,
-    density: Annotated[float, typer.Option(min=0.2, max=3.0, help="Times the usual density of traffic.")] = 1.0,
+    density: Density = 1.0,
+    traffic: Traffic = "",
     noise_m: NoiseM = 0.0,
     noise_mps: NoiseMps = 0.0,
     dropout: Dropout = 0.0,
@@ -106,6 +104,7 @@ def run(
                 realtime=realtime,
                 policy=policy or "fastslow",
                 density=density,
+                traffic=names(traffic),
                 noise_m=noise_m,
                 noise_mps=noise_mps,
                 dropout=dropout,

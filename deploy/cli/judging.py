@@ -9,7 +9,7 @@ from typing import Annotated, cast
 
 import typer
 
-from deploy.cli.options import EXITS, Dropout, Json, NoiseM, NoiseMps, readable_ends
+from deploy.cli.options import EXITS, Density, Dropout, Json, NoiseM, NoiseMps, Traffic, names, readable_ends
 
 commands = typer.Typer()
 
@@ -48,15 +48,8 @@ def evaluate(
             show_default="highway, merge, two-way",
         ),
     ] = None,
-    density: Annotated[float, typer.Option(help="Of the traffic: times the road's own, 0.2 to 3.")] = 1.0,
-    traffic: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME[,NAME...]",
-            help="Other traffic: idm30, hard-brakes, trucks, narrow, sway, or several.",
-            show_default="the road's own",
-        ),
-    ] = "",
+    density: Density = 1.0,
+    traffic: Traffic = "",
     everything: Annotated[bool, typer.Option("--all", help="Every agent on every scenario.")] = False,
     checkpoint: Annotated[
         list[Path] | None,
@@ -148,7 +141,7 @@ def evaluate(
             directive_at_s=directive_at,
             mask_preset=mask_preset,
             density=density,
-            traffic=[name for name in traffic.split(",") if name],
+            traffic=names(traffic),
             wishes_mps=wish or [None],
             noise_m=noise_m,
             noise_mps=noise_mps,

@@ -14,10 +14,24 @@ EXITS = (
     "78 bad configuration or model, 130/143 signals."
 )
 Port = Annotated[int, typer.Option(min=1, max=65535, help="TCP port on 127.0.0.1 where the system listens.")]
+Density = Annotated[float, typer.Option(min=0.2, max=3.0, help="Of the traffic: times the road's own.")]
+Traffic = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME[,NAME...]",
+        help="Other traffic: idm30, hard-brakes, trucks, narrow, sway, or several.",
+        show_default="the road's own",
+    ),
+]
 NoiseM = Annotated[float, typer.Option(min=0.0, help="Error of perceived positions, standard deviation.")]
 NoiseMps = Annotated[float, typer.Option(min=0.0, help="Error of perceived speeds, standard deviation.")]
 Dropout = Annotated[float, typer.Option(min=0.0, max=0.9, help="Chance that a car goes unseen at a tick.")]
 Json = Annotated[bool, typer.Option("--json", help="Data as JSON on stdout; everything else on stderr.")]
+
+
+def names(several: str) -> tuple[str, ...]:
+    """Of an option that takes several, separated by commas."""
+    return tuple(name for name in several.split(",") if name)
 
 
 @contextmanager

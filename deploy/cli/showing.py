@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from deploy.cli.options import EXITS, readable_ends
+from deploy.cli.options import EXITS, Density, Traffic, names, readable_ends
 
 commands = typer.Typer()
 
@@ -20,8 +20,12 @@ commands = typer.Typer()
 )
 def video(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="A .gif, .webp or .mp4.")],
-    scenario: Annotated[str, typer.Option(help="Where: see `fastslow run --help`.")] = "two-way",
+    scenario: Annotated[
+        str, typer.Option(metavar="NAME|FILE.toml", help="Where: a road's name, or a file that changes one.")
+    ] = "two-way",
     seed: Annotated[int, typer.Option(min=0, help="Of the traffic.")] = 1000,
+    density: Density = 1.0,
+    traffic: Traffic = "",
     duration: Annotated[float, typer.Option(min=0.1, help="Seconds of driving, at most.")] = 30.0,
     policy: Annotated[
         str, typer.Option(metavar="SPEC", help="Who drives, as in `fastslow run --policy`.")
@@ -35,6 +39,7 @@ def video(
     """Drive one episode in lock-step and film it, in real time. Words are understood offline."""
     from deploy.film.drive import Words, pictures
     from deploy.film.writer import checked, write_film
+    from deploy.run.processes import road_of
     from fast_node.mask import PRESETS
     from fast_node.policies.load import load_policy
     from schemas.runtime.process import ConfigError
@@ -44,7 +49,7 @@ def video(
         checked(output)
         if mask_preset is not None and mask_preset not in PRESETS:
             raise ConfigError(f"--mask-preset {mask_preset!r}: choose from {', '.join(PRESETS)}")
-        config = SimConfig(scenario=scenario, seed=seed)
+        config = SimConfig(**road_of(scenario), seed=seed, density=density, traffic=names(traffic))
         words = Words(say, say_at) if say else None
         drawn = pictures(config, load_policy(policy), words, duration, mask_preset)
         with typer.progressbar(drawn, length=round(duration * config.hz), label="filming", file=sys.stderr) as shown:

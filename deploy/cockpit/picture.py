@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from heapq import merge
 from typing import Any
@@ -25,6 +26,7 @@ from schemas.wire.messages import (
     Command,
     Directive,
     Event,
+    Lane,
     Message,
     MetaAction,
     Observation,
@@ -248,7 +250,7 @@ class Picture:
                 }
                 for lane in seen.lanes
             ],
-            "shapes": _shapes(seen.scenario, len(seen.lanes)),
+            "shapes": _shapes(seen.scenario, seen.lanes),
         }
 
     def _action(self, action: Action) -> dict[str, Any]:
@@ -349,16 +351,16 @@ def _around(rows: Any, lane: int) -> dict[str, Any]:
     return found
 
 
-def _shapes(scenario: str, lanes: int) -> list[list[list[float]] | None]:
+def _shapes(scenario: str, seen: Sequence[Lane]) -> list[list[list[float]] | None]:
     """Per lane its centre line [[x, y], ...] where it bends, by the simulator's own geometry; None where it is straight
     or the road is not one of ours."""
     from sim_node.scenarios import SCENARIOS  # here: half of a page's road needs nothing of it
     from sim_node.scenarios.scenario import centre_line
 
-    known = SCENARIOS.get(scenario)
+    known, lanes = SCENARIOS.get(scenario), len(seen)
     if known is None or len(known.lanes) != lanes:
         return [None] * lanes
-    pieces = known.pieces().tolist()
+    pieces = known.narrower(seen[0].width_m).pieces().tolist()
     shapes: list[list[list[float]] | None] = []
     for lane in range(lanes):
         mine = [p for p in pieces if p[0] == lane]

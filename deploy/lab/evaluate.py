@@ -62,7 +62,7 @@ def evaluate_all(
     rows, unsurvived = [], {}
     for scenario in [find_scenario(spec) for spec in scenarios]:
         name = scenario.name
-        road = (scenario if density == 1.0 else scenario.denser(density)).varied(traffic)
+        road = scenario.varied(traffic, density)
         died = set(range(episodes))
         drivers = [*((agent, False) for agent in agents), *((spec, True) for spec in policies)]
         for (agent, is_policy), wish_mps in itertools.product(drivers, wishes_mps):
@@ -104,6 +104,9 @@ def evaluate_all(
                     "first_seed": first_seed,
                     "density": density,
                     "traffic": list(traffic),
+                    "noise_m": noise_m,
+                    "noise_mps": noise_mps,
+                    "dropout": dropout,
                     "directive_at_s": directive_at_s,
                     "mask_preset": mask_preset,
                     "success_ci95": wilson95(good, episodes),

@@ -9,11 +9,13 @@ import socket
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import psutil
 from platformdirs import user_data_path
 
 from deploy.run.launch import python_module
+from schemas.runtime.process import ConfigError
 from schemas.runtime.realtime import Mode
 from slow_node.llm.embedded import own_weights
 
@@ -67,12 +69,14 @@ class RunOptions:
     """What the passenger may choose about a run."""
 
     scenario: str = "two-way-natural"
+    """A name, or the path of a scenario file."""
     seed: int = 0
     density: float = 1.0
+    traffic: tuple[str, ...] = ()
     noise_m: float = 0.0
     noise_mps: float = 0.0
     dropout: float = 0.0
-    """Traffic density and perception, as `sim_node.config.SimConfig` has them."""
+    """Traffic and perception, as `sim_node.config.SimConfig` has them."""
     duration_s: float | None = None
     port: int = DEFAULT_PORT
     say: str | None = None
@@ -129,6 +133,22 @@ def choose_model() -> Model:
     return Model(base_url=f"http://{TCP_HOST}:{port}/v1", name=name, embedded=True, port=port, weights=weights)
 
 
+def road_of(spec: str) -> dict[str, Any]:
+    """The fields of `SimConfig` that name a road, for a name or the path of a scenario file, whose text is read here.
+
+    Raises `ConfigError` where there is no such file; the simulator says what is wrong with a text, or a name.
+    """
+    path = Path(spec)
+    if path.suffix != ".toml":
+        return {"scenario": spec}
+    try:
+        return {"scenario": path.name, "scenario_toml": path.read_text(encoding="utf-8")}
+    except OSError as error:
+        raise ConfigError(f"scenario file {spec}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"scenario file {spec}: it is no text") from None
+
+
 def data_folder() -> Path:
     """Where what outlives a run is kept: `FASTSLOW_DATA`, or the platform's data folder."""
     chosen = os.environ.get("FASTSLOW_DATA")
@@ -165,9 +185,10 @@ def process_table(options: RunOptions, model: Model, sockets: Path, folder: Path
 
     sim: dict[str, object] = {
         **critical("sim", "fast"),
-        "scenario": options.scenario,
+        **road_of(options.scenario),
         "seed": options.seed,
         "density": options.density,
+        "traffic": options.traffic,
         "noise_m": options.noise_m,
         "noise_mps": options.noise_mps,
         "dropout": options.dropout,

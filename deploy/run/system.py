@@ -21,6 +21,7 @@ from deploy.run.processes import (
     free_port,
     listener_of,
     process_table,
+    road_of,
     router_endpoints,
 )
 from deploy.run.status import Live, happened
@@ -52,6 +53,7 @@ def run_system(
     try:
         data_folder().mkdir(parents=True, exist_ok=True)
         model = choose_model()
+        road_of(options.scenario)  # a missing file is told before there is a run
         if options.record:
             _try_to_write(options.record)
         with open_bus(BusConfig(mode="router", listen=router_endpoints(sockets, port))) as bus:

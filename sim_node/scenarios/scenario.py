@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from schemas.driving.episode import Goal
 from schemas.driving.intent import ANY_LANE
-from schemas.driving.measures import CAR_LENGTH_M, rss_same_direction_m
 from schemas.driving.road import NOBODY, lead_id
 from schemas.wire.messages import Lane
+from sim_node.scenarios.clearance import start_clearance_m
 from sim_node.scenarios.manners import NARROW_M, USUAL, VARIED, Manners, draw
 
 Range = tuple[float, float]
@@ -32,13 +32,6 @@ LEFT_ROAD_M = 20.0
 """Who is this near to the end of its road has left it."""
 CLEAR_M = 15.0
 """A car that would start nearer than this to one that is already there, centre to centre, is left out."""
-START_BRAKE_MPS2 = 6.0
-"""What whoever is in front may brake with from the first tick on; an ego that follows is sure of `EGO_SURE_MPS2`."""
-EGO_SURE_MPS2, EGO_REACTION_S = 5.0, 2.0 / 15.0
-FOLLOWER_REACTION_S, FOLLOWER_ACCEL_MPS2 = 0.8, 0.5
-"""Of RSS at the start: what the mask's preset "sim" assumes."""
-START_ROOM_M = 1.0
-"""The mask wants so much more room to a leader."""
 ALWAYS = -math.inf
 
 
@@ -229,13 +222,17 @@ class Scenario:
             ),
         )
 
-    def varied(self, names: Sequence[str]) -> Scenario:
-        """The same road with other traffic: names of `manners.VARIED`. Raises ValueError for another name."""
+    def varied(self, names: Sequence[str] = (), density: float = 1.0) -> Scenario:
+        """The same road with other traffic, by names of `manners.VARIED`, `density` times as dense.
+
+        Raises ValueError for another name, and as `denser` does.
+        """
         unknown = sorted(set(names) - set(VARIED))
         if unknown:
             raise ValueError(f"traffic {', '.join(unknown)}: choose from {', '.join(VARIED)}")
         fields = {field: value for name in names for field, value in VARIED[name].items()}
-        other = replace(self, manners=replace(self.manners, **fields))
+        base = self if density == 1.0 else self.denser(density)
+        other = replace(base, manners=replace(base.manners, **fields))
         return other.narrower(NARROW_M) if "narrow" in names else other
 
     @property
@@ -336,18 +333,6 @@ class Scenario:
             changes,
             draw(self.manners, rng, x, lane_of),
         )
-
-
-def start_clearance_m(speed_mps: float, ego_mps: float, *, ahead: bool) -> float:
-    """How far a car in the ego's lane must be away at the start, centre to centre, for the one behind to be able to
-    stop behind the one in front, by RSS."""
-    if ahead:
-        gap = rss_same_direction_m(ego_mps, speed_mps, EGO_REACTION_S, 0.0, EGO_SURE_MPS2, START_BRAKE_MPS2)
-    else:
-        gap = rss_same_direction_m(
-            speed_mps, ego_mps, FOLLOWER_REACTION_S, FOLLOWER_ACCEL_MPS2, START_BRAKE_MPS2, START_BRAKE_MPS2
-        )
-    return CAR_LENGTH_M + START_ROOM_M + gap
 
 
 def streams(seed: int) -> tuple[Generator, Generator, Generator]:

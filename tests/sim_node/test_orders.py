@@ -121,6 +121,18 @@ def test_a_restart_keeps_what_is_not_named_and_the_counts() -> None:
     assert (world.node.metrics.ticks, world.node.metrics.episodes) == (4, 2)
 
 
+def test_a_road_from_a_file_is_kept_at_a_restart_and_left_for_a_road_of_ours() -> None:
+    config = SimConfig(scenario="mine.toml", scenario_toml='base = "highway"', traffic=("narrow",), density=2.0)
+    node = SimNode(config)
+    node.reset(0)
+    before = node.observation(0)
+    node.restart("", None, 0)
+    again = node.observation(0)
+    assert (again.scenario, again.rows, again.lanes[0].width_m) == ("mine", before.rows, 3.2)
+    node.restart("merge", None, 0)
+    assert node.observation(0).scenario == "merge"
+
+
 @pytest.mark.parametrize(("scenario", "seed"), [("moon", 1), ("merge", -1)])
 def test_an_order_that_makes_no_sense_changes_nothing(scenario: str, seed: int) -> None:
     world = World()

@@ -19,8 +19,9 @@ from deploy.run.status import Live
 from deploy.run.summary import Summary
 from deploy.run.supervisor import RestartPolicy, Supervisor
 from deploy.run.system import run_system
-from schemas.runtime.process import CONFIG
+from schemas.runtime.process import CONFIG, load_config
 from schemas.wire.messages import Command, Directive, Event, EventKind, Observation, Reason, Reply, Status
+from sim_node.config import SimConfig
 from tests.waiting import until
 
 QUICK = RestartPolicy(first_s=0.05, most_s=0.1, grace_s=0.5)
@@ -311,6 +312,15 @@ def test_the_table_says_who_matters() -> None:
     assert names == ["sim", "slow"]
 
 
+def test_the_simulator_is_told_the_text_of_a_scenario_file(tmp_path: Path) -> None:
+    road = tmp_path / "mine.toml"
+    road.write_text('base = "merge"\nduration_s = 9\n', encoding="utf-8")
+    options, nobody = RunOptions(scenario=str(road), traffic=("sway",)), Model(base_url="", name="", embedded=False)
+    [argv] = [p.argv for p in process_table(options, nobody, tmp_path) if p.name == "sim"]
+    told = load_config(SimConfig, [argv[-1]])
+    assert (told.road().name, told.road().duration_s, told.road().manners.sway_m) == ("mine", 9.0, 0.3)
+
+
 def test_the_summary_tells_each_command_with_its_times() -> None:
     summary = Summary("two-way", 3, 0)
     second = 10**9
@@ -375,7 +385,7 @@ def test_the_live_line_shows_what_is_going_on() -> None:
     assert "carried out tick 8, oncoming traffic, vehicle 4, for 1.5 s" in (live.event(begun) or "")
 
 
-@pytest.mark.parametrize("mistake", ["model", "recording"])
+@pytest.mark.parametrize("mistake", ["model", "recording", "scenario"])
 def test_a_mistake_about_files_ends_the_start_with_one_line_and_without_a_run_folder(
     mistake: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -384,6 +394,7 @@ def test_a_mistake_about_files_ends_the_start_with_one_line_and_without_a_run_fo
     monkeypatch.delenv("OPENAI_API_KEY", raising=False)
     monkeypatch.setenv("FASTSLOW_GGUF", "/no/such.gguf" if mistake == "model" else "")
     record = Path("/no/such/x.mcap") if mistake == "recording" else None
-    assert run_system(RunOptions(port=0, record=record)) == CONFIG
+    road = "/no/such.toml" if mistake == "scenario" else "highway"
+    assert run_system(RunOptions(scenario=road, port=0, record=record)) == CONFIG
     said = capsys.readouterr().err
     assert (said.count("\n"), "/no/such" in said, (tmp_path / "runs").exists()) == (1, True, False)
