@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -15,11 +17,26 @@ commands = typer.Typer()
 
 @commands.command(
     epilog="Examples:\n\n  fastslow video -o drive.gif\n\n"
+    "  fastslow video runs/20261127T120000Z-42/recording.mcap -o run.mp4\n\n"
+    "  fastslow video x.mcap --from 12 --to 20 -o pass.gif\n\n"
     "  fastslow video --scenario merge --seed 1006 --say '' -o merge.mp4\n\n"
     '  fastslow video --scenario highway --policy rule --say "I\'m in a hurry" --say-at 5 -o hurry.webp\n\n' + EXITS
 )
 def video(
+    context: typer.Context,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="A .gif, .webp or .mp4.")],
+    recording: Annotated[
+        Path | None,
+        typer.Argument(metavar="[FILE.mcap]", help="A recorded run to film.", show_default="drive a new episode"),
+    ] = None,
+    from_s: Annotated[
+        float,
+        typer.Option("--from", min=0.0, metavar="S", help="Of a recording: the second to begin at, as replay counts."),
+    ] = 0.0,
+    to_s: Annotated[
+        float | None,
+        typer.Option("--to", min=0.0, metavar="S", help="Of a recording: the last second.", show_default="its end"),
+    ] = None,
     scenario: Annotated[
         str, typer.Option(metavar="NAME|FILE.toml", help="Where: a road's name, or a file that changes one.")
     ] = "two-way",
@@ -36,12 +53,14 @@ def video(
     ),
     say_at: Annotated[float, typer.Option(min=0.0, metavar="S", help="When.")] = 2.0,
 ) -> None:
-    """Drive one episode in lock-step and film it, in real time. Words are understood offline."""
+    """Film a recorded run; or drive one episode in lock-step, words understood offline, and film that. In real time."""
+    _one_or_the_other(context, recording is not None)
     from deploy.film.drive import Words, pictures
     from deploy.film.writer import checked, write_film
     from deploy.run.processes import road_of
     from fast_node.mask import PRESETS
     from fast_node.policies.load import load_policy
+    from schemas.driving.road import HZ
     from schemas.runtime.process import ConfigError
     from sim_node.config import SimConfig
 
@@ -49,10 +68,44 @@ def video(
         checked(output)
         if mask_preset is not None and mask_preset not in PRESETS:
             raise ConfigError(f"--mask-preset {mask_preset!r}: choose from {', '.join(PRESETS)}")
-        config = SimConfig(**road_of(scenario), seed=seed, density=density, traffic=names(traffic))
-        words = Words(say, say_at) if say else None
-        drawn = pictures(config, load_policy(policy), words, duration, mask_preset)
-        with typer.progressbar(drawn, length=round(duration * config.hz), label="filming", file=sys.stderr) as shown:
+        if recording is not None:
+            about = str(recording)
+            drawn, length_s = _recorded(recording, from_s, math.inf if to_s is None else to_s)
+        else:
+            about, length_s = f"{scenario}, seed {seed}", duration
+            config = SimConfig(**road_of(scenario), seed=seed, density=density, traffic=names(traffic))
+            words = Words(say, say_at) if say else None
+            drawn = pictures(config, load_policy(policy), words, duration, mask_preset)
+        with typer.progressbar(drawn, length=round(length_s * HZ), label="filming", file=sys.stderr) as shown:
             count = write_film(output, shown)
-        size_mb = output.stat().st_size / 1e6
-        typer.echo(f"{output}: {count / config.hz:.1f} s of {scenario}, seed {seed}, {size_mb:.1f} MB")
+        typer.echo(f"{output}: {count / HZ:.1f} s of {about}, {output.stat().st_size / 1e6:.1f} MB")
+
+
+def _one_or_the_other(context: typer.Context, recorded: bool) -> None:
+    """A recording has its own road, driver and words; only a recording has a part to choose."""
+    of_recordings = {"from_s", "to_s"}
+    for parameter in context.command.params:
+        name = str(parameter.name)
+        source = context.get_parameter_source(name)
+        if name in ("output", "recording") or source is None or source.name != "COMMANDLINE":
+            continue
+        if recorded and name not in of_recordings:
+            raise typer.BadParameter("a recording has its own: leave it out", param_hint=f"'{parameter.opts[0]}'")
+        if not recorded and name in of_recordings:
+            raise typer.BadParameter("is of a recording: name its file", param_hint=f"'{parameter.opts[0]}'")
+
+
+def _recorded(path: Path, from_s: float, to_s: float) -> tuple[Iterator[Any], float]:
+    """A recording's pictures, and about how many seconds of them."""
+    from deploy.film.recorded import pictures
+    from deploy.record.moments import length_s
+    from deploy.replay.report import load
+    from schemas.runtime.process import ConfigError
+
+    recording = load(path)
+    end_s = min(to_s, length_s(recording))
+    if from_s > end_s:
+        raise ConfigError(f"--from {from_s:g}: choose a time before {end_s:.1f} s")
+    if not recording.finished:
+        typer.echo(f"fastslow: {path} was cut off, or is still written: filming as far as it goes", err=True)
+    return pictures(recording, from_s, to_s), end_s - from_s

@@ -9,7 +9,7 @@ from pathlib import Path
 from deploy.cockpit.__main__ import address, listen, serve
 from deploy.cockpit.config import CockpitConfig
 from deploy.cockpit.sources import RecordingSource
-from deploy.record.reader import NotARecordingError, open_recording
+from deploy.record.reader import open_recording
 from schemas.runtime.process import CONFIG, OK, ConfigError
 
 
@@ -19,7 +19,7 @@ def replay(path: Path, *, host: str = "127.0.0.1", port: int = 8000, speed: floa
         source = RecordingSource(open_recording(path))
         source.speed = speed
         listener = listen(host, port)
-    except (OSError, NotARecordingError, ConfigError) as error:
+    except (OSError, ConfigError) as error:
         print(f"fastslow: {path}: {error}", file=sys.stderr)
         return CONFIG
     print(f"fastslow: {path} is shown at {address(listener)} (Ctrl-C ends it)", flush=True)

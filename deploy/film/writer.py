@@ -1,8 +1,10 @@
-"""Pictures into a file: GIF and WebP by Pillow, MP4 by the ffmpeg that imageio-ffmpeg brings. Real-time speed."""
+"""Pictures into a file: GIF by Pillow, WebP and MP4 by the ffmpeg that imageio-ffmpeg brings. Real-time speed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import os
+import zlib
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +15,42 @@ from schemas.driving.road import HZ
 from schemas.runtime.process import ConfigError
 
 Picture = NDArray[np.uint8]
-SUFFIXES = (".gif", ".webp", ".mp4")
+GIF = ".gif"
+CODECS: dict[str, dict[str, Any]] = {
+    ".webp": {
+        "codec": "libwebp_anim",
+        "pix_fmt_out": "bgra",
+        "output_params": ["-loop", "0", "-lossless", "1", "-compression_level", "3"],
+    },
+    ".mp4": {},
+}
+"""How ffmpeg writes the others. Without loss a drawn WebP is smaller, too."""
+SUFFIXES = (GIF, *CODECS)
 GIF_COLOURS = 96
 GIF_WIDTH = 720
 """A GIF is scaled down to this width: half a minute stays under 3 MB."""
+GIF_MOST_S = 180.0
+"""A GIF is made in memory, and nobody waits for a longer one."""
 
 
 def write_film(path: Path, pictures: Iterable[Picture], hz: float = HZ) -> int:
     """Write pictures (height, width, 3), `hz` of them per second of driving; return how many.
 
-    Raises `ConfigError` for an unknown suffix, a missing package, or a drive without a single picture.
+    `path` appears when the film is whole. Raises `ConfigError` for an unknown suffix, a folder that cannot be written,
+    a missing package, a GIF that grows too long, or a drive without a single picture.
     """
     checked(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    count = _mp4(path, pictures, hz) if path.suffix == ".mp4" else _animation(path, pictures, hz)
-    if not count:
-        raise ConfigError(f"{path.name}: there is nothing to show")
+    part = path.with_stem(f"{path.stem}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        count = _gif(part, pictures, hz) if path.suffix == GIF else _by_ffmpeg(part, pictures, hz)
+        if not count:
+            raise ConfigError(f"{path.name}: there is nothing to show")
+        os.replace(part, path)
+    except OSError as error:
+        raise ConfigError(f"cannot write {path}: {error.strerror or error}") from None
+    finally:
+        part.unlink(missing_ok=True)
     return count
 
 
@@ -39,60 +61,75 @@ def checked(path: Path) -> Path:
     return path
 
 
-def _animation(path: Path, pictures: Iterable[Picture], hz: float) -> int:
+def _gif(path: Path, pictures: Iterable[Picture], hz: float) -> int:
     try:
         from PIL import Image
     except ImportError:
-        raise ConfigError("films need pillow: pip install 'fastslow[view]'") from None
-    frames = [Image.fromarray(picture) for picture in pictures]
-    if not frames:
+        raise ConfigError("a .gif needs pillow: pip install 'fastslow[view]'") from None
+    packed: list[bytes] = []  # a hundredth of what they are unpacked
+    size = (0, 0)
+    for picture in pictures:
+        frame = Image.fromarray(picture)
+        size = (GIF_WIDTH, GIF_WIDTH * frame.height // frame.width)
+        packed.append(zlib.compress(frame.resize(size).tobytes(), 1))
+        if len(packed) > GIF_MOST_S * hz:
+            raise ConfigError(f"a .gif lasts {GIF_MOST_S:.0f} s at most: film less, or write an .mp4 or .webp")
+    if not packed:
         return 0
-    if path.suffix == ".gif":
-        frames = _with_one_palette([f.resize((GIF_WIDTH, GIF_WIDTH * f.height // f.width)) for f in frames])
-    more: dict[str, Any] = {"optimize": True, "disposal": 1} if path.suffix == ".gif" else {"quality": 70, "method": 3}
-    frames[0].save(
+    frames = _with_one_palette(packed, size)
+    next(frames).save(
         path,
         save_all=True,
-        append_images=frames[1:],
-        duration=durations_ms(len(frames), hz, path.suffix),
+        append_images=frames,
+        duration=durations_ms(len(packed), hz),
         loop=0,
-        **more,
+        optimize=True,
+        disposal=1,
     )
-    return len(frames)
+    return len(packed)
 
 
-def _with_one_palette(frames: list[Any]) -> list[Any]:
+def _with_one_palette(packed: list[bytes], size: tuple[int, int]) -> Iterator[Any]:
     """The frames in colours that they share, rare ones among them: a car is small, and its colour means something."""
     from PIL import Image
 
-    some = frames[:: max(len(frames) // 8, 1)]
-    sheet = Image.new("RGB", (some[0].width, some[0].height * len(some)))
-    for k, frame in enumerate(some):
-        sheet.paste(frame, (0, k * frame.height))
+    def frame(data: bytes) -> Any:
+        return Image.frombytes("RGB", size, zlib.decompress(data))
+
+    some = packed[:: max(len(packed) // 8, 1)]
+    sheet = Image.new("RGB", (size[0], size[1] * len(some)))
+    for k, data in enumerate(some):
+        sheet.paste(frame(data), (0, k * size[1]))
     palette = sheet.quantize(GIF_COLOURS, method=Image.Quantize.MAXCOVERAGE)
-    return [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    for data in packed:
+        yield frame(data).quantize(palette=palette, dither=Image.Dither.NONE)
 
 
-def durations_ms(count: int, hz: float, suffix: str) -> list[int]:
-    """How long each picture stays [ms]: a GIF counts in hundredths of a second, so the rounding is spread evenly."""
-    grid = 10 if suffix == ".gif" else 1
-    ends = [round(1000.0 * (k + 1) / hz / grid) * grid for k in range(count)]
+def durations_ms(count: int, hz: float) -> list[int]:
+    """How long each picture of a GIF stays [ms]: it counts in hundredths of a second; rounding is spread evenly."""
+    ends = [round(100.0 * (k + 1) / hz) * 10 for k in range(count)]
     return [end - start for start, end in zip([0, *ends], ends, strict=False)]
 
 
-def _mp4(path: Path, pictures: Iterable[Picture], hz: float) -> int:
+def _by_ffmpeg(path: Path, pictures: Iterable[Picture], hz: float) -> int:
     try:
         import imageio_ffmpeg
     except ImportError:
-        raise ConfigError("an .mp4 needs imageio-ffmpeg: pip install 'fastslow[view]'; .gif and .webp do not") from None
+        raise ConfigError(
+            f"a {path.suffix} needs imageio-ffmpeg: pip install 'fastslow[view]'; a .gif does not"
+        ) from None
     count, writer = 0, None
-    for picture in pictures:
-        if writer is None:
-            height, width = picture.shape[:2]
-            writer = imageio_ffmpeg.write_frames(str(path), (width, height), fps=hz, macro_block_size=2)
-            writer.send(None)
-        writer.send(np.ascontiguousarray(picture))
-        count += 1
-    if writer is not None:
-        writer.close()
+    try:
+        for picture in pictures:
+            if writer is None:
+                height, width = picture.shape[:2]
+                writer = imageio_ffmpeg.write_frames(
+                    str(path), (width, height), fps=hz, macro_block_size=2, **CODECS[path.suffix]
+                )
+                writer.send(None)
+            writer.send(np.ascontiguousarray(picture))
+            count += 1
+    finally:
+        if writer is not None:
+            writer.close()
     return count

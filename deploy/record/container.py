@@ -19,6 +19,7 @@ from typing import Any, BinaryIO
 
 import zstandard
 from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
@@ -35,6 +36,8 @@ from mcap.records import (
 )
 from mcap.records import Message as Record
 
+from schemas.runtime.process import ConfigError
+
 MAGIC = b"\x89MCAP0\r\n"
 COMPRESSION = "zstd"
 _HEAD = struct.Struct("<BQ")
@@ -43,8 +46,8 @@ _MESSAGE = struct.Struct("<HIQQ")
 """Of a message record: channel, sequence, log time, publish time; the data follows."""
 
 
-class NotARecordingError(ValueError):
-    """The file is no MCAP file of ours; `str()` names it."""
+class NotARecordingError(ConfigError):
+    """The file is no MCAP file of ours, or is damaged; `str()` names it."""
 
 
 @dataclass
@@ -54,6 +57,8 @@ class Part:
     index: ChunkIndex
     counts: dict[int, int]
     """Messages in it, by channel."""
+    crc: int
+    """Of its data, unpacked; 0: not known."""
 
 
 @dataclass
@@ -94,7 +99,10 @@ def scan(file: BinaryIO) -> Contents:
             file.seek(-len(MAGIC), os.SEEK_END)
             found.finished = file.read() == MAGIC
             break
-        _note(found, opcode, behind - found.end, file)
+        try:
+            _note(found, opcode, behind - found.end, file)
+        except (McapError, struct.error, UnicodeDecodeError):
+            raise _damaged(file, found.end) from None
         found.end = behind
     if found.parts and not found.finished:
         _close_last(found, file, size)
@@ -110,7 +118,7 @@ def _note(found: Contents, opcode: int, length: int, file: BinaryIO) -> None:
         found.metadata[record.name] = record.metadata
         found.metadata_indexes.append(MetadataIndex(offset=found.end, length=length, name=record.name))
     elif opcode == Opcode.CHUNK:
-        start, end, size, _ = struct.unpack("<QQQI", file.read(28))
+        start, end, size, crc = struct.unpack("<QQQI", file.read(28))
         (name,) = struct.unpack("<I", file.read(4))
         index = ChunkIndex(
             chunk_length=length,
@@ -123,7 +131,7 @@ def _note(found: Contents, opcode: int, length: int, file: BinaryIO) -> None:
             message_start_time=start,
             uncompressed_size=size,
         )
-        found.parts.append(Part(index, {}))
+        found.parts.append(Part(index, {}, crc))
     elif opcode == Opcode.MESSAGE_INDEX and found.parts:
         channel, entries = struct.unpack("<HI", file.read(6))
         part = found.parts[-1]
@@ -135,18 +143,34 @@ def _note(found: Contents, opcode: int, length: int, file: BinaryIO) -> None:
 def _close_last(found: Contents, file: BinaryIO, size: int) -> None:
     """The last chunk of an unfinished file counts only with all its message indexes."""
     last = found.parts[-1]
-    if sum(last.counts.values()) != sum(1 for _ in messages_of(last, file)):
+    try:
+        whole = sum(last.counts.values()) == sum(1 for _ in messages_of(last, file))
+    except NotARecordingError:
+        whole = False
+    if not whole:
         found.parts.pop()
         found.end = last.index.chunk_start_offset
 
 
+def _damaged(file: BinaryIO, at: int) -> NotARecordingError:
+    return NotARecordingError(f"{file.name} is damaged at byte {at}")
+
+
 def messages_of(part: Part, file: BinaryIO) -> Iterator[tuple[int, int, int, bytes]]:
-    """(channel, log time, publish time, data) of each message of a chunk, in the order of their writing."""
+    """(channel, log time, publish time, data) of each message of a chunk, in the order of their writing.
+
+    Raises `NotARecordingError` for a chunk that is not as it was written.
+    """
     index = part.index
     file.seek(index.chunk_start_offset + index.chunk_length - index.compressed_size)
     data = file.read(index.compressed_size)
-    if index.compression == COMPRESSION:
-        data = zstandard.decompress(data, index.uncompressed_size)
+    try:
+        if index.compression == COMPRESSION:
+            data = zstandard.decompress(data, index.uncompressed_size)
+    except zstandard.ZstdError:
+        raise _damaged(file, index.chunk_start_offset) from None
+    if part.crc and zlib.crc32(data) != part.crc:
+        raise _damaged(file, index.chunk_start_offset)
     at = 0
     while at < len(data):
         opcode, length = _HEAD.unpack_from(data, at)
@@ -247,13 +271,14 @@ class McapFile:
         self._times, self._indexes = [], {}
         squeezed = self._compress.compress(data)
         start, end = min(times), max(times)
+        crc = zlib.crc32(data)
         out = RecordBuilder()
         Chunk(
             compression=COMPRESSION,
             data=squeezed,
             message_start_time=start,
             message_end_time=end,
-            uncompressed_crc=zlib.crc32(data),
+            uncompressed_crc=crc,
             uncompressed_size=len(data),
         ).write(out)
         index = ChunkIndex(
@@ -272,7 +297,7 @@ class McapFile:
             messages.write(out)
         index.message_index_length = out.count - index.chunk_length
         self._append(out.end())
-        self._contents.parts.append(Part(index, {channel: len(m.records) for channel, m in indexes.items()}))
+        self._contents.parts.append(Part(index, {channel: len(m.records) for channel, m in indexes.items()}, crc))
 
     def finish(self) -> None:
         """Write the summary, and close. Where there is no room for it, the last chunks make some."""

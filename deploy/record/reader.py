@@ -6,6 +6,8 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from deploy.record.container import Contents, NotARecordingError, messages_of, scan
 from deploy.record.encoding import from_json
 from schemas.wire.messages import Message
@@ -30,10 +32,23 @@ class Recording:
         """The recorder came to write the summary; otherwise it was killed, or still writes."""
         self.clock_offset_ns = int(self.metadata.get("clock_offset_ns", 0))
 
+    def span_ns(self, topic: str) -> tuple[int, int] | None:
+        """When the first message of a topic arrived, and when the last had: that is known to its chunk. None: no such.
+
+        Raises `NotARecordingError` as `messages` does.
+        """
+        channels = {channel for channel, name in self._contents.channels.items() if name == f"/{topic}"}
+        ends = [part.index.message_end_time for part in self._contents.parts if channels & part.counts.keys()]
+        first = next(self.messages((topic,)), None)
+        return None if first is None else (first[0], ends[-1])
+
     def messages(
         self, topics: Collection[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[tuple[int, str, Message]]:
-        """(time of arrival, topic's name, message) for start_ns <= time < end_ns; `topics`: names, None for all."""
+        """(time of arrival, topic's name, message) for start_ns <= time < end_ns; `topics`: names, None for all.
+
+        Raises `NotARecordingError` at a place that is damaged, or that holds messages of another program.
+        """
         wanted = {
             channel: _TYPES[topic]
             for channel, topic in self._contents.channels.items()
@@ -53,7 +68,14 @@ class Recording:
                         and (end_ns is None or log_time < end_ns)
                     ):
                         topic = wanted[channel]
-                        yield log_time, topic.name, from_json(topic.type, data)
+                        yield log_time, topic.name, self._message(topic, data)
+
+    def _message(self, topic: Topic[Any], data: bytes) -> Message:
+        try:
+            message: Message = from_json(topic.type, data)
+        except (msgspec.MsgspecError, AttributeError, LookupError, TypeError, ValueError) as error:
+            raise NotARecordingError(f"{self.path} has a {topic.name} that this code cannot read: {error}") from None
+        return message
 
 
 def open_recording(path: Path) -> Recording:

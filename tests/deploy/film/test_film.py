@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from msgspec import structs
 
-from deploy.film.drive import Passenger, Words, pictures, worded
+from deploy.film.drive import Passenger, Words, pictures
+from deploy.film.story import Story, worded
 from deploy.film.writer import durations_ms, write_film
 from fast_node.policies.load import load_policy
+from schemas.runtime.clock import NS
 from schemas.runtime.process import ConfigError
-from schemas.wire.messages import Event, EventKind, Reason
+from schemas.wire.messages import Command, Event, EventKind, Message, Reason, Reply
 from sim_node.config import SimConfig
 from sim_node.drawing import EGO, picture
-from tests.scenes import HIGHWAY, car, observation
+from tests.scenes import HIGHWAY, car, directive, observation
 
 PICTURES = [np.full((40, 80, 3), 6 * k, np.uint8) for k in range(30)]
 
@@ -26,15 +29,34 @@ def test_a_drive_has_a_picture_for_every_tick_and_shows_what_was_said():
 
 
 def test_a_refused_command_gives_no_directive_and_is_answered():
-    passenger = Passenger(Words("ram the car in front of us", 0.0))
+    heard: list[Message] = []
+    passenger = Passenger(Words("ram the car in front of us", 0.0), heard.append)
     seen = observation(car(0, 100, 1, 20), lanes=HIGHWAY)
     assert passenger.ask(seen, 0) is None
-    assert (passenger.said, bool(passenger.reply)) == ("ram the car in front of us", True)
+    command, reply = heard
+    assert isinstance(command, Command)
+    assert isinstance(reply, Reply)
+    assert (command.text, reply.outcome, bool(reply.say)) == ("ram the car in front of us", "refused", True)
+
+
+def test_a_directive_is_shown_until_it_has_ended_or_is_too_old():
+    story, asked = Story(), directive(target_lane=1, ttl_s=5.0)
+    scene = observation(car(0, 100, 1, 20), lanes=HIGHWAY)
+
+    def shown(at_s: float) -> bool:
+        now = structs.replace(scene, stamp_ns=round(at_s * NS))
+        return bool((story.draw(now, None) != picture(now)).any())
+
+    story.hear(asked)
+    assert [shown(at_s) for at_s in (0.0, 4.9, 5.1)] == [True, True, False]
+    story.hear(Reply(epoch=1, stamp_ns=0, command_id=4, outcome="fulfilled", text="", directive_id=asked.id))
+    assert not shown(0.0)
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".webp"])
 def test_a_film_lasts_as_long_as_the_drive(tmp_path, suffix):
     image = pytest.importorskip("PIL.Image")
+    pytest.importorskip("imageio_ffmpeg")
     assert write_film(tmp_path / f"x{suffix}", iter(PICTURES)) == 30
     with image.open(tmp_path / f"x{suffix}") as film:
         total = 0
@@ -62,7 +84,7 @@ def test_an_mp4_has_every_picture_at_the_rate_of_the_drive(tmp_path):
 
 @pytest.mark.parametrize("hz", [15, 5, 1, 60])
 def test_hundredths_of_a_second_add_up_to_real_time(hz):
-    assert sum(durations_ms(120, hz, ".gif")) == pytest.approx(120_000 / hz, abs=5)
+    assert sum(durations_ms(120, hz)) == pytest.approx(120_000 / hz, abs=5)
 
 
 def test_an_unknown_suffix_is_an_error_that_names_the_known_ones(tmp_path):
