@@ -326,12 +326,6 @@ def _foot(canvas: pygame.Surface, observation: Observation, action: Action | Non
                 "center",
             )
     brake = action.meta_action == MetaAction.EMERGENCY_BRAKE
-    _text(
-        canvas,
-        "EMERGENCY BRAKE" if brake else SOURCES.get(action.source, action.source),
-        SIZE[0] - 18,
-        top + 25,
-        17,
-        RED if brake else GREY,
-        "right",
-    )
+    who, _, against = ("EMERGENCY BRAKE" if brake else SOURCES.get(action.source, action.source)).partition(", ")
+    _text(canvas, who, SIZE[0] - 18, top + 25, 17, RED if brake else GREY, "right")
+    _text(canvas, against, SIZE[0] - 18, top + 46, 15, GREY, "right")

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated, Any, cast
 
 import typer
 
@@ -20,7 +21,8 @@ commands = typer.Typer()
     "  fastslow evaluate --agent ours --policy mine:load --policy constant:faster\n\n"
     "  fastslow evaluate --checkpoint old.safetensors --checkpoint new.safetensors --rows episodes.csv\n\n"
     "  fastslow evaluate --scenario highway --density 2 --directive-at 10 --first-seed 5200\n\n"
-    "  fastslow evaluate --scenario highway --wish 23 --wish 25 --wish 28 --plot tradeoff.png\n\n" + EXITS
+    "  fastslow evaluate --scenario highway --wish 23 --wish 25 --wish 28 --plot tradeoff.png\n\n"
+    "  fastslow evaluate --scenario merge --agent rule --episodes 20 --video films\n\n" + EXITS
 )
 def evaluate(
     agent: Annotated[
@@ -100,6 +102,15 @@ def evaluate(
         Path | None,
         typer.Option(metavar="FILE.csv", dir_okay=False, writable=True, help="Write a row per episode there."),
     ] = None,
+    video: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            file_okay=False,
+            writable=True,
+            help="Film the first episode of every row there, and the one with the lowest ride score.",
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Drive episodes on seeds that training never saw, and print what came of it with 95 % intervals."""
@@ -122,12 +133,21 @@ def evaluate(
     with readable_ends():
         if plot is not None:
             import_module("matplotlib")  # a missing one is told before minutes of driving, not after
+        if video is not None:
+            import_module("imageio_ffmpeg")
         from deploy.lab import evaluate as lab
         from deploy.lab import report
         from deploy.lab.agents import AGENTS
         from deploy.lab.episodes import Directive
         from deploy.lab.paired import Episode, compare, paired_table, write_rows
         from sim_node.scenarios import SCENARIOS
+
+        def film(place: Mapping[str, Any], results: Any, again: Any) -> None:
+            from deploy.film.evaluated import film_row
+
+            assert video is not None
+            for path in film_row(video, place, results, again):
+                typer.echo(f"filmed {path}", err=True)
 
         each: list[Episode] = []
         result = lab.evaluate_all(
@@ -148,6 +168,7 @@ def evaluate(
             dropout=dropout,
             progress=lambda text: typer.echo(text, err=True),
             each=each,
+            film=None if video is None else film,
         )
         if rows is not None:
             write_rows(each, rows)

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from deploy.lab.episodes import DIRECTIVES, Directive, Words, always, by_the_tick, record, task_of
+from deploy.lab.episodes import DIRECTIVES, Directive, Watch, Words, always, by_the_tick, record, task_of
 from fast_node.mask import PRESETS
 from fast_node.policies.attention import read_sidecar
 from fast_node.policies.load import OURS, load_policy
 from fast_node.policies.mlp import BASELINES
-from fast_node.training.rollout import Fleet
+from fast_node.training.rollout import Driver, Fleet
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import MetaAction
 from sim_node.engine.batched import Batched
@@ -86,6 +86,7 @@ def drive(
     noise_m: float = 0.0,
     noise_mps: float = 0.0,
     dropout: float = 0.0,
+    watch: Watch | None = None,
 ) -> list[EpisodeResult]:
     """One episode per seed, with that seed's traffic and a directive (see `Directive`) from the start or from
     `directive_at_s` on, without words until then, and with another wished speed than the directive's where one is
@@ -113,10 +114,14 @@ def drive(
     for i, seed in enumerate(seeds):
         world.load(i, scenario.spawn(streams(seed)[0]))
     words = Words(fleet, scenario, seeds, directive, directive_at_s, wish_mps)
+    driver = None
     if who.policy in ("idm", "brake"):
         step = always(fleet, MetaAction.EMERGENCY_BRAKE if who.policy == "brake" else MetaAction.CRUISE)
     else:
-        step = by_the_tick(fleet, policy.logits)
+        driver = Driver(fleet, policy.logits)
+        step = by_the_tick(driver)
+    if watch is not None:
+        step = watch(fleet, driver, step)
     return record(fleet, scenario, step, words)
 
 

@@ -13,6 +13,7 @@ from fast_node.config import FastConfig
 from fast_node.coordination import ASSERTIVE_HEADWAY_S
 from fast_node.mask import OPEN
 from fast_node.training.rollout import Driver, Fleet, Task
+from schemas.driving.features import Array
 from schemas.driving.intent import ANY_LANE
 from schemas.driving.road import (
     AGAINST_MPS,
@@ -27,7 +28,8 @@ from schemas.driving.road import (
     lane_table,
     next_ahead,
 )
-from schemas.wire.messages import POLICY_ACTIONS, MetaAction
+from schemas.runtime.clock import NS
+from schemas.wire.messages import POLICY_ACTIONS, MetaAction, Observation
 from sim_node.engine.batched import Batched
 from sim_node.metrics import Recorder, Settled
 from sim_node.results import EpisodeResult
@@ -43,6 +45,8 @@ DIRECTIVES: tuple[Directive, ...] = get_args(Directive)
 Logits = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 Step = Callable[[int], Settled | None]
 """Advances a fleet at a tick, counted from 0, and says how its actions came about; None: nobody decides."""
+Watch = Callable[[Fleet, Driver | None, Step], Step]
+"""The same step, but somebody looks on. No driver: nobody decides."""
 WORDLESS_HEADWAY_S = FastConfig().default_headway_s
 
 
@@ -121,6 +125,20 @@ class Words:
         return tick >= self._at_tick
 
 
+def published(scenario: Scenario, tick: int, rows: Array, **fields: Any) -> Observation:
+    """A scene's rows (V, 9) of a batch as the ego is shown them; fields: the rest of an `Observation`."""
+    return Observation(
+        epoch=0,
+        stamp_ns=tick * NS // HZ,
+        tick=tick,
+        scenario=scenario.name,
+        lanes=scenario.lanes_at(float(rows[0, X])),
+        rows=rows[rows[:, ID] >= 0].tobytes(),
+        sight_m=scenario.sight_m,
+        **fields,
+    )
+
+
 def record(fleet: Fleet, scenario: Scenario, step: Step, words: Words | None = None) -> list[EpisodeResult]:
     """Drive every scene of a fleet to its end with a `Step`, and measure it. words: None: they have been said."""
     w = fleet.world
@@ -162,14 +180,13 @@ def way_is_open(fleet: Fleet, lane: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.asarray((fleet.wish != ANY_LANE) & (fleet.wish != lane) & is_open)
 
 
-def by_the_tick(fleet: Fleet, logits: Logits) -> Step:
+def by_the_tick(driver: Driver) -> Step:
     """As the fast node drives: it looks, and may decide, at every tick."""
-    driver = Driver(fleet, logits)
 
     def step(tick: int) -> Settled:
         driver.tick()
         by = driver.by
-        return Settled(by != HELD, has_choice(fleet), by == MASKED, by == WISHED)
+        return Settled(by != HELD, has_choice(driver.fleet), by == MASKED, by == WISHED)
 
     return step
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,9 @@ from sim_node.scenario_file import find_scenario
 from sim_node.scenarios import Scenario
 
 SCHEMA = "fastslow.evaluate/1"
+Film = Callable[[Mapping[str, Any], Sequence[EpisodeResult], Callable[..., list[EpisodeResult]]], None]
+"""What films some of a row's episodes: who drove where, what came of each, and how to drive all of them once more,
+with a `watch` as `deploy.lab.agents.drive` takes it."""
 
 
 def evaluate_all(
@@ -41,6 +45,7 @@ def evaluate_all(
     dropout: float = 0.0,
     progress: Callable[[str], None] = lambda _: None,
     each: list[Episode] | None = None,
+    film: Film | None = None,
 ) -> dict[str, Any]:
     """A row per scenario, agent and wished speed [m/s] (None: as the directive has it), over the seeds from
     `first_seed`; per scenario the seeds that nobody survived. The result's own `wish_mps` is None for several wishes.
@@ -51,7 +56,8 @@ def evaluate_all(
     `policies`, as `load_policy` takes them, drive behind the mask and are agents under these names. Without agents and
     policies the one whose policy is in `checkpoint` drives, or ours. Raises `ConfigError` for a checkpoint that none
     of the agents uses, and as `drive` does, which noise_m, noise_mps and dropout are for. Every episode is appended to
-    `each`.
+    `each`. `film` is called for every row. Raises ValueError for one of a driver of `LANGUAGE`, whose model is not
+    asked the same twice.
     """
     own = trained_as(checkpoint) if checkpoint else "ours"
     if agents is None:
@@ -66,6 +72,7 @@ def evaluate_all(
         died = set(range(episodes))
         drivers = [*((agent, False) for agent in agents), *((spec, True) for spec in policies)]
         for (agent, is_policy), wish_mps in itertools.product(drivers, wishes_mps):
+            place = {"scenario": name, "agent": agent, "wish_mps": wish_mps, "directive": directive}
             progress(f"{agent} on {name}" + ("" if wish_mps is None else f", {wish_mps:g} m/s wished"))
             more: dict[str, Any] = {}
             if agent in LANGUAGE and not is_policy:
@@ -73,6 +80,8 @@ def evaluate_all(
                     raise ValueError(f"{agent} has its directive from the start, and no mask")
                 if noise_m or noise_mps or dropout:
                     raise ValueError(f"{agent} sees everything as it is: leave noise and dropout out")
+                if film is not None:
+                    raise ValueError(f"{agent} drives otherwise each time: leave --video out")
                 results, more["llm"] = _drive_language(agent, road, seeds, directive, wish_mps)
             else:
                 conditions: dict[str, Any] = {
@@ -89,9 +98,11 @@ def evaluate_all(
                     more["order"] = best_order(road, **conditions)
                     who = behind_the_mask(more["order"])
                 own_file = None if is_policy or agent == BEST else checkpoint
-                results = drive(who, road, seeds, checkpoint=own_file, **conditions)
+                again = partial(drive, who, road, seeds, checkpoint=own_file, **conditions)
+                results = again()
+                if film is not None:
+                    film({**place, "first_seed": first_seed, "directive_at_s": directive_at_s}, results, again)
             if each is not None:
-                place = {"scenario": name, "agent": agent, "wish_mps": wish_mps, "directive": directive}
                 each += [episode_of(place, seed, r) for seed, r in zip(seeds, results, strict=True)]
             died &= {i for i, r in enumerate(results) if r.collided}
             good = sum(r.success for r in results)

@@ -22,13 +22,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.lab.episodes import has_choice, load, record, task_of
+from deploy.lab.episodes import has_choice, load, published, record, task_of
 from deploy.run.model_server import embedded_server
 from deploy.run.processes import choose_model
 from fast_node.policies.rule import rule_logits
 from fast_node.training.rollout import Driver, Fleet
 from schemas.driving.episode import held
-from schemas.driving.road import HZ, ID, VX, X
+from schemas.driving.road import HZ, VX
 from schemas.runtime.clock import NS, Clock, MonotonicClock
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction, Observation
@@ -152,18 +152,13 @@ class World:
     def observation(self, state: tuple[NDArray[Any], ...], scene: int, tick: int) -> Observation:
         """A scene's part of a `state` as it is published."""
         rows, target_speed, target_lane, previous_lane = (array[scene] for array in state)
-        here = rows[rows[:, ID] >= 0]
-        return Observation(
-            epoch=0,
-            stamp_ns=0,
-            tick=tick,
-            scenario=self.scenario.name,
-            lanes=self.scenario.lanes_at(float(rows[0, X])),
-            rows=here.tobytes(),
+        return published(
+            self.scenario,
+            tick,
+            rows,
             target_speed_mps=float(target_speed),
             target_lane=int(target_lane),
             previous_lane=int(previous_lane),
-            sight_m=self.scenario.sight_m,
         )
 
 

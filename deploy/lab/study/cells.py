@@ -23,7 +23,7 @@ from deploy.lab.training import BASELINE_SCENES, SCENES, mixed_scenes, scenes_of
 from fast_node.mask import VERSION as MASK_VERSION
 from fast_node.policies.load import load_policy
 from fast_node.policies.mlp import BASELINES, PARTS, VARIANTS, masked, told
-from fast_node.training.rollout import Fleet
+from fast_node.training.rollout import Driver, Fleet
 from schemas.driving.features import LAYOUT_HASH
 from sim_node.engine.batched import Batched
 from sim_node.results import summarise
@@ -211,6 +211,6 @@ def measured(cell: Cell, logits: Logits) -> dict[str, Any]:
     fleet = Fleet(world, task_of(scenario), masked=cell.masked, obeyed=cell.obeyed)
     for i in range(n):
         load(fleet, scenario, i, FIRST_SEED + i, "hurry")
-    step = by_the_tick(fleet, logits)
+    step = by_the_tick(Driver(fleet, logits))
     summary = summarise(record(fleet, scenario, step))
     return {k: summary[k] for k in FIGURES}

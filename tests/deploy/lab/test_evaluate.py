@@ -128,7 +128,7 @@ def test_a_shipped_baseline_learnt_on_our_roads_with_the_papers_budget_and_never
 def test_a_bare_baseline_decides_as_often_as_the_others_and_nothing_overrides_it() -> None:
     world = Batched(SCENARIOS["highway"], 2, 0)
     left = ConstantPolicy(MetaAction.LEFT).logits
-    step = by_the_tick(Fleet(world, task_of(SCENARIOS["highway"]), masked=False), left)
+    step = by_the_tick(Driver(Fleet(world, task_of(SCENARIOS["highway"]), masked=False), left))
     for tick in range(31):
         settled = step(tick)
         assert settled is not None
