@@ -1,26 +1,29 @@
 """What a command means, R_t = Phi(P_t) and i_t = Parse(R_t) (paper's Eqs. 6 to 9): a command and a scene in, slots out.
 
-Two read a command: the intent parser (`slow_node.understanding.intent_parser`, ten milliseconds, calibrated) and the
-language model with its recalled examples. An endpoint's answer leads, and the parser guards what is unsafe and stands
-in when the endpoint fails. The embedded model is small: there the parser leads, and the model is asked where the parser
-is unsure.
+Two read a command: the program reader (`slow_node.understanding.reading`: rules for what is sure, over the intent
+parser with its calibrated probabilities) and the language model with its recalled examples. An endpoint's answer leads,
+and the reader guards what is unsafe and stands in when the endpoint fails. The embedded model is small: the reader
+leads, and the model is asked where the reader is unsure.
 """
 
 from __future__ import annotations
 
 import asyncio
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
+from schemas.wire.program import Program
 from slow_node.llm.model import Chat, ChatModel, ModelError, ModelTimeoutError
 from slow_node.memory.bank import Example, Memory
 from slow_node.planning.directive import UNSAFE_WHY, ParseError, cross_check, parse_answer
 from slow_node.planning.prompt import adapted_prompt, build_prompt, repair_prompt
 from slow_node.planning.scene import Scene, describe
+from slow_node.planning.steps import summary
 from slow_node.thought import Trace
-from slow_node.understanding.intent_parser import IntentParser, Parsed
 from slow_node.understanding.numbers import quantities
+from slow_node.understanding.reading.reader import ProgramReader, Reading
+from slow_node.understanding.reading.values import steps_of
 from slow_node.understanding.refusals import unsafe
 from slow_node.understanding.slots import Slots, adapted_schema, answer_schema
 
@@ -52,6 +55,20 @@ class Interpretation:
     source: str = ""
     """Who decided: "refusals", "parser", "memory" or the language model's name."""
     nearest: tuple[Example, ...] = ()
+    program: Program | None = None
+    """The command as a script; None: what the slots say, at once."""
+    model_asked: bool = False
+
+
+@dataclass(frozen=True)
+class _Read:
+    """What the program reader made of a command, with its summary on this road."""
+
+    slots: Slots
+    confidence: float
+    refused: float
+    program: Program
+    sure: bool
 
 
 class Interpreter:
@@ -61,7 +78,7 @@ class Interpreter:
         self,
         memory: Memory,
         model: ChatModel,
-        parser: IntentParser | None,
+        parser: ProgramReader | None,
         *,
         style: Style,
         k: int,
@@ -70,6 +87,7 @@ class Interpreter:
     ) -> None:
         self._memory, self._model, self._parser = memory, model, parser
         self._style, self._k, self._budget_s, self._mode = style, k, budget_s, ask
+        self.model_name = model.name
         self._schema = adapted_schema() if style == "adapted" else answer_schema(style == "short")
 
     async def interpret(
@@ -88,7 +106,21 @@ class Interpreter:
             slots = Slots(outcome="refused", reasoning="may be dangerous", language=parsed.slots.language)
             return Interpretation(slots, UNSAFE_WHY, source="parser", nearest=nearest)
         if parsed is not None and not self._asks(parsed):
-            return Interpretation(_reasoned(parsed), source="parser", nearest=nearest)
+            return Interpretation(_reasoned(parsed), source="parser", nearest=nearest, program=parsed.program)
+        found = await self._ask_model(command, scene, delayed, delayed_by, parsed, nearest, started, trace)
+        return replace(found, model_asked=True)
+
+    async def _ask_model(
+        self,
+        command: str,
+        scene: Scene,
+        delayed: str,
+        delayed_by: str,
+        parsed: _Read | None,
+        nearest: tuple[Example, ...],
+        started: float,
+        trace: Trace,
+    ) -> Interpretation:
         text = describe(scene, delayed_by) + (f"; intent: {delayed}" if delayed else "")
         budget_s = min(self._budget_s, EMBEDDED_BUDGET_S) if self._mode == "unsure" and parsed else self._budget_s
         try:
@@ -103,6 +135,7 @@ class Interpreter:
                     source="parser",
                     model_ms=_ms(started),
                     nearest=nearest,
+                    program=parsed.program,
                 )
             return Interpretation(
                 None, f"the model's answer cannot be used: {error}", model_ms=_ms(started), nearest=nearest
@@ -111,11 +144,28 @@ class Interpreter:
         slots, why = self._checked(command, slots, parsed, nearest)
         if not why and slots.decision() != answered.decision():
             trace.guards.append("numbers are those that were said, and no others")
-        return Interpretation(slots, why, model_ms=_ms(started), source=self._model.name, nearest=nearest)
+        if parsed is not None and (parsed.sure or slots.decision() == parsed.slots.decision()):
+            # Slots cannot say what a program can: where the reader is sure of one, they only refuse it.
+            refused = slots.outcome == "refused" and parsed.slots.outcome == "directive"
+            if not refused:
+                source = self._model.name if slots.decision() == parsed.slots.decision() else "parser"
+                return Interpretation(
+                    _reasoned(parsed),
+                    why,
+                    model_ms=_ms(started),
+                    source=source,
+                    nearest=nearest,
+                    program=parsed.program,
+                )
+        program = Program(outcome=slots.outcome, steps=steps_of(slots))
+        return Interpretation(
+            slots, why, model_ms=_ms(started), source=self._model.name, nearest=nearest, program=program
+        )
 
-    def _parse(self, command: str, scene: Scene, trace: Trace) -> tuple[Parsed | None, tuple[Example, ...]]:
+    def _parse(self, command: str, scene: Scene, trace: Trace) -> tuple[_Read | None, tuple[Example, ...]]:
         began = time.monotonic()
-        parsed = self._parser.parse(command, scene.speed_mps, scene.limit_mps) if self._parser else None
+        reading = self._parser.read(command, scene.speed_mps, scene.limit_mps) if self._parser else None
+        parsed = None if reading is None else _on_this_road(reading, scene)
         trace.spans_ms["parser"] = _ms(began)
         began = time.monotonic()
         trace.nearest = tuple(self._memory.nearest(command, self._k))
@@ -124,8 +174,8 @@ class Interpreter:
             trace.reading = f"{parsed.slots.outcome}: {_reasoned(parsed).reasoning}"
         return parsed, trace.nearest
 
-    def _asks(self, parsed: Parsed) -> bool:
-        return self._mode == "always" or (self._mode == "unsure" and parsed.confidence < SURE)
+    def _asks(self, parsed: _Read) -> bool:
+        return self._mode == "always" or (self._mode == "unsure" and not parsed.sure and parsed.confidence < SURE)
 
     async def _ask(self, command: str, scene: str, nearest: tuple[Example, ...], due: float, trace: Trace) -> Slots:
         began = time.monotonic()
@@ -153,7 +203,7 @@ class Interpreter:
         return answer
 
     def _checked(
-        self, command: str, slots: Slots, parsed: Parsed | None, nearest: tuple[Example, ...]
+        self, command: str, slots: Slots, parsed: _Read | None, nearest: tuple[Example, ...]
     ) -> tuple[Slots, str]:
         """The model's slots after the cross-checks, with the numbers that were said and no others."""
         if parsed is None:
@@ -175,12 +225,23 @@ class Interpreter:
         return slots, ""
 
     @staticmethod
-    def _without_model(parsed: Parsed | None, nearest: tuple[Example, ...], reason: str) -> Interpretation:
+    def _without_model(parsed: _Read | None, nearest: tuple[Example, ...], reason: str) -> Interpretation:
         if parsed is not None:
-            return Interpretation(_reasoned(parsed), f"{FROM_PARSER_WHY} ({reason})", source="parser", nearest=nearest)
+            return Interpretation(
+                _reasoned(parsed),
+                f"{FROM_PARSER_WHY} ({reason})",
+                source="parser",
+                nearest=nearest,
+                program=parsed.program,
+            )
         if nearest and nearest[0].cosine >= FROM_MEMORY_COSINE:
             return Interpretation(nearest[0].slots, f"{FROM_MEMORY_WHY} ({reason})", source="memory", nearest=nearest)
         return Interpretation(None, reason, model_answered=False, nearest=nearest)
+
+
+def _on_this_road(reading: Reading, scene: Scene) -> _Read:
+    slots = reading.slots or summary(reading.program, scene, reading.language)
+    return _Read(slots, reading.confidence, reading.refused, reading.program, reading.sure)
 
 
 def _numbers(command: str) -> dict[str, float]:
@@ -189,7 +250,7 @@ def _numbers(command: str) -> dict[str, float]:
     return {slots[q.kind]: q.value for q in quantities(command) if q.kind in slots}
 
 
-def _reasoned(parsed: Parsed) -> Slots:
+def _reasoned(parsed: _Read) -> Slots:
     """The intent parser's slots with its reasons: what it heard and how sure it is."""
     slots = parsed.slots
     heard = [f"{name} {value}" for name, value in slots.model_dump(exclude_defaults=True, exclude={"outcome"}).items()]

@@ -24,6 +24,7 @@ from slow_node.memory.examples import EXAMPLES
 from slow_node.planning.scene import describe, encode_scene
 from slow_node.thought import Trace, thought_of
 from slow_node.understanding.intent_parser import IntentParser
+from slow_node.understanding.reading.reader import ProgramReader
 
 NAME = "slow"
 POLL_S = 0.03
@@ -184,8 +185,9 @@ def build_interpreter(config: SlowConfig) -> tuple[Interpreter, Memory, ChatMode
     )
     ask = config.ask if config.ask != "auto" else "unsure" if config.embedded else "always"
     parser = IntentParser.load(embedder) if config.parser else None
+    reader = ProgramReader(parser) if parser is not None else None
     style: Style = "full" if not config.embedded else "adapted" if config.adapter else "short"
-    interpreter = Interpreter(memory, model, parser, style=style, k=config.k, budget_s=config.budget_s, ask=ask)
+    interpreter = Interpreter(memory, model, reader, style=style, k=config.k, budget_s=config.budget_s, ask=ask)
     return interpreter, memory, model
 
 

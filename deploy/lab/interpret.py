@@ -17,9 +17,11 @@ from deploy.lab.interpreter import running_interpreter
 from schemas.driving.measures import CAR_LENGTH_M
 from schemas.runtime.process import CONFIG, FAILED, OK, USAGE, ConfigError
 from schemas.wire.messages import Directive, Lane, Observation
+from schemas.wire.program import Program, plain
 from slow_node.interpreter import Interpreter
 from slow_node.planning.directive import ASKS, Refusal, directive_of
 from slow_node.planning.scene import Scene, encode_scene
+from slow_node.planning.steps import slots_of, stages
 from slow_node.understanding.slots import Slots
 
 DEFAULT_SCENE: dict[str, Any] = {
@@ -105,7 +107,10 @@ async def interpret(interpreter: Interpreter, text: str, scene: Scene) -> dict[s
     began = time.perf_counter()
     found = await interpreter.interpret(text, scene)
     slots = found.slots or Slots(outcome="unclear")
-    planned: Directive | Refusal = directive_of(slots, scene)
+    program = found.program or Program(outcome=slots.outcome)
+    parts = stages(program)
+    first = slots_of(parts[0], scene, slots.language) if program.outcome == "directive" and parts else slots
+    planned: Directive | Refusal = directive_of(first, scene)
     latency = time.perf_counter() - began
     outcome: str = planned.outcome if isinstance(planned, Refusal) else "directive"
     if found.slots is None and not found.model_answered:
@@ -115,6 +120,10 @@ async def interpret(interpreter: Interpreter, text: str, scene: Scene) -> dict[s
         "outcome": outcome,
         "directive": {name: getattr(planned, name) for name in ASKS} if isinstance(planned, Directive) else None,
         "slots": slots.labelled(scene.limit_mps) if outcome == "directive" else dict(NO_SLOTS),
+        "steps": [plain(step) for step in program.steps],
+        "question": program.question,
+        "model_asked": found.model_asked,
+        "model_decided": found.model_asked and found.source == interpreter.model_name,
         "say": planned.say,
         "reasoning": slots.reasoning or found.why,
         "latency_s": round(latency, 4),
@@ -148,6 +157,10 @@ def interpret_lines(
                     "outcome": "error",
                     "directive": None,
                     "slots": dict(NO_SLOTS),
+                    "steps": [],
+                    "question": "",
+                    "model_asked": False,
+                    "model_decided": False,
                     "say": "",
                     "reasoning": "",
                     "latency_s": 0.0,

@@ -268,6 +268,12 @@ def _cap(scene: Scene, lane: int | None) -> float:
 
 def _target_lane(slots: Slots, scene: Scene) -> int | Refusal | None:
     """The lane that was named. From a borrowed lane, right is the way home and left is farther into the traffic."""
+    if slots.to_lane is not None:
+        if scene.exists(slots.to_lane) and scene.lanes[slots.to_lane].direction == -1:
+            return _refusal(f"lane {slots.to_lane} is oncoming", slots, "oncoming")
+        if not may_take(scene, slots.to_lane):
+            return _refusal("no such lane", slots, "no_lane")
+        return slots.to_lane
     if slots.lane in ("left", "right"):
         lane = scene.ego_lane + (-1 if slots.lane == "left" else 1)
         if scene.borrowing and slots.lane == "right":

@@ -39,6 +39,8 @@ class Slots(BaseModel):
     say: str = Field(default="", max_length=300)
     language: str = Field(default="en", exclude=True)
     """Of the passenger's sentence, for our reply; told by the intent parser, never by the model."""
+    to_lane: int | None = Field(default=None, exclude=True)
+    """The lane's index where it is more than one over; -1 or the number of lanes: there is no such lane."""
 
     def decision(self) -> dict[str, object]:
         """The slots that decide what the car does, for comparing two answers."""

@@ -1,0 +1,116 @@
+"""Where one wish ends and the next begins, and what is waited for."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from schemas.wire.program import Trigger
+from slow_node.understanding.number_words import replaced
+from slow_node.understanding.numbers import quantities
+from slow_node.understanding.reading.lexicon import Found, Row, bare, rows, searchable, side_said
+
+_SENTENCES = re.compile(r"(?<=[.!?;\u2026])\s+|\s*\n\s*|\s+[\u2013\u2014-]+\s+|(?<=[\w])\s*\u2026\s*|(?<=\w)\.\.+\s*")
+_THEN = re.compile(
+    r"(?:^|[ ,;]+)(?:and |und |et |y |e |en )?(?<!from )(?:then|after (?:that|this)(?= ?,| ?$| (?:you|go|move|change|pull|slow|speed|"
+    r"drive|take|turn|keep|overtake|pass|please|get)\b)|afterwards|dann|danach|anschliessend|puis|"
+    r"ensuite|apres ca|luego|despues(?! de)|poi|dopodiche|dopo(?= \w+[ai]\b(?<!la))|depois(?! d[aeo])|em seguida|daarna|"
+    r"vervolgens|(?<=, )dan|(?<=en )dan)\b(?! on\b),? ?"
+    r"|,? (?:and|und|et|y|e|en) (?=\w+(?: \w+)? (?:then|danach|dann|anschliessend|puis|ensuite|luego|despues|poi|dopo|depois|daarna|"
+    r"dan)\b)"
+)
+_FIRST = re.compile(
+    r"^(?:first(?:ly)?|zuerst|erst(?:mal)?|d'abord|primero|per prima cosa|prima(?= [a-z]+[ai]\b)|primeiro|eerst),? "
+)
+_EVERY_ROAD = re.compile(
+    r"\b(?:when|if|once|as soon as|wenn|sobald|si|quand|des que|cuando|en cuanto|se|quando|appena|assim que|als|zodra) "
+    r"(?:it(?:'s| is)? |that(?:'s| is)? |es |das |c'est |es |sea |e |for |het |dat )?(?:safe|possible|convenient|sicher|moglich|geht|"
+    r"sur|possible|seguro|posible|sicuro|possibile|possivel|veilig|mogelijk|kan)(?: ist| is)?\b,? ?"
+)
+"""Said of every wish, and true of all: no condition."""
+
+
+@dataclass(frozen=True)
+class Clause:
+    """A part of a command with one wish, or with none."""
+
+    text: str
+    """In `searchable` form, what is waited for cut out."""
+    when: Trigger | None = None
+    until: Trigger | None = None
+    then: bool = False
+    """It follows what was said before."""
+    asks: bool = False
+    """Its sentence ends with a question mark."""
+
+
+def sentences(command: str) -> list[str]:
+    """The sentences of a command as they were said."""
+    return [part.strip() for part in _SENTENCES.split(command) if re.search(r"\w", part)]
+
+
+def clauses(sentence: str) -> list[Clause]:
+    """The clauses of one sentence, in order."""
+    text = _EVERY_ROAD.sub("", searchable(sentence))
+    asks = sentence.rstrip().endswith("?")
+    found: list[Clause] = []
+    waiting: Trigger | None = None
+    for number, part in enumerate(_THEN.split(_FIRST.sub("", _LEAD_IN.sub("", text)))):
+        rest, when, until = _cut(part)
+        rest = bare(rest)
+        if waiting is not None and when is None:
+            when = waiting
+        if not rest:
+            waiting = when
+            continue
+        found.append(Clause(rest, when, until, number > 0 and bool(found), asks))
+        waiting = None
+    if waiting is not None:
+        found.append(Clause("", waiting, None, bool(found), asks))
+    return found
+
+
+_LEAD_IN = re.compile(r"^(?:please|bitte|ok|okay|so|now|well|hey|car|alors|bueno|allora|entao|nou)[ ,]+")
+
+
+def _cut(text: str) -> tuple[str, Trigger | None, Trigger | None]:
+    """A text without what is waited for; when it begins, and until when it lasts."""
+    when: Trigger | None = None
+    until: Trigger | None = None
+    for row in rows("triggers", "waits"):
+        ends = row.fields.get("until", False)
+        if (ends and until) or (not ends and when):
+            continue
+        found = row.search(text)
+        trigger = None if found is None else _trigger(row, found)
+        if found is None or trigger is None:
+            continue
+        text = f"{text[: found.start]} {text[found.end :]}".strip(" ,")
+        if ends:
+            until = trigger
+        else:
+            when = trigger
+    return text, when, until
+
+
+def _trigger(row: Row, found: Found) -> Trigger | None:
+    said, kind = found.said, row.fields["kind"]
+    side = side_said(said)
+    value: float | None = None
+    if kind == "time":
+        value = float(said["t"].replace(",", ".")) * (60.0 if said["tu"].startswith("min") else 1.0)
+    elif kind == "distance":
+        unit = said["du"]
+        metres = (
+            1000.0 if unit[0] in "kqc" else 1609.3 if unit.startswith("mile") else 0.9144 if unit[0] == "y" else 1.0
+        )
+        value = float(said["d"].replace(",", ".")) * (0.3048 if unit == "feet" else metres)
+    elif kind == "speed":
+        speeds = [q.value for q in quantities(replaced(said["v"], lambda _, n: True)) if q.kind == "speed"]
+        if not speeds:
+            return None
+        value = speeds[-1]
+    who = row.fields.get("object", said.get("who", ""))
+    if value is not None and value > 10_000:
+        return None
+    return Trigger(kind=kind, object=who, side="left" if side == "left" else "right" if side else None, value=value)

@@ -1,0 +1,126 @@
+"""The expressions of `*.toml`, and the form of a text in which they are searched."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from slow_node.understanding.number_slips import prepared
+from slow_node.understanding.number_words import COMMON_WORDS, replaced
+
+LANGUAGES = ("en", "de", "fr", "es", "it", "pt", "nl", "any")
+_WHO = {
+    "ambulance": r"ambulan\w+|krankenwagen|rettungswagen|notarzt|fire engine|fire truck|feuerwehr\w*|pompiers|bomber\w+|"
+    r"vigili del fuoco|brandweer\w*|emergency vehicle|police car|polizei\w*",
+    "truck": r"(?:big )?(?:trucks?|lorr(?:y|ies)|hgvs?|lkws?|laster|lastwagen|camion(?:es|s)?|camiao|caminh(?:ao|oes)|"
+    r"vrachtwagens?|vrachtauto|tankers?|juggernaut|semi)",
+    "bus": r"bus(?:es)?|autobus|onibus|autocarro|coach|reisebus|school bus|pullman",
+    "van": r"vans?(?! (?:de|het|die|dit|links|rechts|mij|ons|een|deze|hier|rijstrook|baan)\b)|transporter|lieferwagen|camionnettes?|fourgon|furgoneta|furgone|carrinha|bestelbus(?:je)?",
+    "motorcycle": r"motor(?:bikes?|cycles?|cyclist|rad|radfahrer)|moto|motards?|motociclista|motorrijder",
+    "cyclist": r"cyclists?|bicycles?|bikes?|rad(?:ler|fahrer(?:in)?)|fahrrad(?:fahrer)?|cyclistes?|velos?|ciclistas?|"
+    r"bicicletas?|bicicletta|fietsers?|fiets",
+    "pedestrian": r"pedestrians?|people|child(?:ren)?|kids?|fussganger\w*|kinder|(?<=das )kind|(?<=ein )kind|pietons?|enfants?|"
+    r"peaton(?:es)?|ninos?|nina|pedon[ei]|bambin[oai]|peao|peoes|pedestres?|crianca|voetgangers?|kinderen|(?<=een )kind|"
+    r"old (?:lady|man)|woman|man with a pram|schoolchildren",
+    "animal": r"dog|deer|cat|hund|reh|chien|perro|cane|cao|hond|ducks?",
+    "caravan": r"caravans?|wohnwagen|caravane|caravana|roulotte|camper|tractors?|traktor|trecker|tracteur|trattore",
+    "car": r"cars?|vehicles?|taxi|auto|wagen|voiture|coche|macchina|carro|suv|limo|saloon|hatchback|estate|kombi|bmw|"
+    r"audi|mercedes|volkswagen|golf|tesla|toyota|porsche|(?<=that )one|(?<=this )one|(?<=the )one|guy|driver",
+}
+VULNERABLE = ("cyclist", "pedestrian", "motorcycle", "animal")
+_OBJECTS = re.compile("|".join(rf"(?P<{name}>(?<!\w)(?:{words})(?!\w))" for name, words in _WHO.items()))
+_SMALL_WORDS = ("a", "sei", "se", "une", "una", "uma", "eine", "einer", "set", *COMMON_WORDS)
+"""Numbers in one language, everyday words in another; besides what is one in any of them."""
+
+_COURTESY = (
+    r"please|pls|bitte(?: mal)?|s'il (?:te|vous) plait|por favor|per (?:favore|piacere)|(?:als?je|alstu)blieft|"
+    r"se faz favor|could you|can you|would you|will you|would you mind|i (?:want|need|would like) you to|"
+    r"i'?d like you to|you (?:should|can|could) |hey|hi|ok|okay|oh|ah|um|uh|er|well|so|now|right|listen|look|"
+    r"hey @?car|@?car|@?driver|computer|yes|yeah|and|but|just|then|"
+    r"kannst du|konntest du|konnen sie|kannst du mal|mal|doch|jetzt|also|und|ja|"
+    r"peux-tu|pourrais-tu|pouvez-vous|tu peux|tu pourrais|est-ce que tu (?:peux|pourrais)|alors|et|maintenant|"
+    r"puedes|podrias|y|ahora|bueno|vale|puoi|potresti|e|allora|ora|adesso|dai|"
+    r"podes|pode|poderias|podias|agora|entao|kun je|kan je|zou je|wil je|en|nu|dus|"
+    r"tell me|sag mal|sag mir|dis-moi|dime|dimmi|diz-me|zeg|"
+    r"honey|darling|dear|love|mate|thanks|thank you|danke|merci|gracias|grazie|obrigad[oa]|bedankt"
+)
+_AFTER = (
+    r"please|pls|bitte|s'il (?:te|vous) plait|por favor|per (?:favore|piacere)|(?:als?je|alstu)blieft|se faz favor|"
+    r"will you|would you|can you|could you|ok|okay|now|@?car|driver|honey|darling|dear|love|mate|man|then|"
+    r"thanks|thank you|danke|merci|gracias|grazie|obrigad[oa]|bedankt|jetzt|maintenant|ahora|adesso|ora|agora|nu|"
+    r"ja|nochmal bitte|if you (?:can|could|would|like|please)|wenn du kannst|when you can"
+)
+_LEADING = re.compile(rf"^(?:(?:{_COURTESY})(?!\w)[ ,]*)+")
+_TRAILING = re.compile(rf"(?:[ ,]+(?:{_AFTER}))+$")
+_MARKS = re.compile(r"[\"\u201c\u201d\u00ab\u00bb()\[\]\u00bf\u00a1*_]")
+
+
+class Found(NamedTuple):
+    """A match of one row."""
+
+    start: int
+    end: int
+    said: Mapping[str, str]
+    """What the named groups of its expression have matched."""
+
+
+class Row(NamedTuple):
+    """One row of a file."""
+
+    fields: Mapping[str, Any]
+    patterns: tuple[re.Pattern[str], ...]
+
+    def search(self, text: str) -> Found | None:
+        """The longest of its matches in a text in `searchable` form."""
+        whole = self.fields.get("whole", False)
+        found = [m for p in self.patterns if (m := p.fullmatch(text) if whole else p.search(text))]
+        if not found:
+            return None
+        best = max(found, key=lambda match: match.end() - match.start())
+        said = {name.rsplit("_", 1)[0]: part for name, part in best.groupdict().items() if part}
+        return Found(best.start(), best.end(), said)
+
+
+@cache
+def rows(name: str, group: str) -> tuple[Row, ...]:
+    """The rows of a group of `name`.toml."""
+    data = tomllib.loads(Path(__file__).with_name(f"{name}.toml").read_text("utf-8"))
+    parts = {**tomllib.loads(Path(__file__).with_name("phrases.toml").read_text("utf-8"))["parts"]}
+    parts |= data.get("parts", {})
+    parts |= {"SIDE": f"(?:{parts['LEFT']}|{parts['RIGHT']})", "WHO": r"(?:@(?P<who>\w+))"}
+    return tuple(
+        Row(row, tuple(_compiled(row[language], parts) for language in LANGUAGES if language in row))
+        for row in data[group]
+    )
+
+
+def _compiled(expression: str, parts: Mapping[str, str]) -> re.Pattern[str]:
+    for _ in range(3):  # a part may have parts
+        for name, part in parts.items():
+            expression = expression.replace(f"<{name}>", part)
+    numbered = iter(range(1000))
+    return re.compile(re.sub(r"\(\?P<(\w+)>", lambda m: f"(?P<{m[1]}_{next(numbered)}>", expression))
+
+
+def searchable(text: str) -> str:
+    """Folded, numbers from two up in digits, vehicles and people as "@truck", "@cyclist", ..."""
+    plain = _MARKS.sub(" ", prepared(text))
+    plain = replaced(plain, lambda word, n: n >= 2 and word not in _SMALL_WORDS)
+    plain = _OBJECTS.sub(lambda match: f"@{match.lastgroup}", plain)
+    return " ".join(plain.split())
+
+
+def bare(clause: str) -> str:
+    """Without words of courtesy and punctuation around it."""
+    plain = clause.strip(" ,.!?;:-\u2026")
+    plain = _LEADING.sub("", plain)
+    return _TRAILING.sub("", plain).strip(" ,.!?;:-\u2026")
+
+
+def side_said(said: Mapping[str, str]) -> str | None:
+    """ "left" or "right", if one was said."""
+    return "left" if "left" in said else "right" if "right" in said else None

@@ -1,0 +1,239 @@
+"""The program reader: what is sure by its words, and for the rest the intent parser, clause by clause."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import msgspec
+
+from schemas.wire.program import MAX_STEPS, Program, Question, Step, Trigger
+from slow_node.understanding.intent_parser import IntentParser, Parsed
+from slow_node.understanding.reading.clauses import Clause, clauses, sentences
+from slow_node.understanding.reading.lexicon import VULNERABLE, Found, Row, bare, rows, searchable, side_said
+from slow_node.understanding.reading.values import corrected, steps_of, unbound, uses_miles
+from slow_node.understanding.slots import Slots
+
+MOST_CLAUSES = 8
+"""A longer command is read as a whole."""
+MOST_PARSED = 4
+"""So many clauses are parsed one by one: each takes the intent parser ten milliseconds."""
+HARMLESS = 0.4
+"""A clause below this probability of being dangerous is none."""
+LIKELY = 0.4
+"""What stands beside something sure must be as likely as this."""
+_CORRECTS = re.compile(
+    r"\b(?:no|nope|wait a|actually|rather|sorry|scratch|false alarm|i mean|i meant|forget|nein|doch nicht|quatsch|moment|non|en fait|"
+    r"plutot|pardon|mejor|perdon|anzi|scusa|alias|afinal|nee|toch|laat maar|oder|instead|hmm|oh dear|hold on|never mind)\b"
+)
+_DENIED = re.compile(r"\b(?:do ?n[o']?t|dont|not|never|nicht|nie|ne|pas|no|nunca|non|mai|nao|niet|nooit)\b[^,;]{0,20}$")
+_SAYS_NO = re.compile(r"^(?:no|nope|nein|non|nee|nao|ne|oh|hm+|wait|stop|well)$")
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a command was read as."""
+
+    program: Program
+    slots: Slots | None
+    """The summary, as the intent parser read it; None where it follows from the steps."""
+    language: str
+    confidence: float
+    refused: float
+    """Probability that the command is unsafe or an attempt on the system's rules."""
+    sure: bool = False
+    """It is known by its words, or has what slots cannot say."""
+
+
+class _Sure(NamedTuple):
+    """A wish or a question that is sure by its words, and what else was said in its clause."""
+
+    step: Step | None
+    question: Question
+    follows: bool
+    rest: str
+
+
+class ProgramReader:
+    """Reads commands into programs."""
+
+    def __init__(self, parser: IntentParser) -> None:
+        self._parser = parser
+        clauses("brake, then after that truck go left in ten seconds")  # compiles the expressions before anybody speaks
+        _sure(Clause("brake"))
+
+    def read(self, command: str, speed_mps: float, limit_mps: float) -> Reading:
+        """A command's program, with numbers resolved against the ego's speed and the limit, both in m/s."""
+        text = unbound(command)
+        whole = self._parser.parse(text, speed_mps, limit_mps)
+        found = [clause for sentence in sentences(text) for clause in clauses(sentence)]
+        found = [clause for clause in found if not _SAYS_NO.match(clause.text)] or found
+        if len(found) > MOST_CLAUSES:
+            return self._as_a_whole(command, text, whole)
+        sure = [_sure(clause) for clause in found]
+        special = any(sure) or any(clause.when or clause.until for clause in found)
+        if not special and not any(clause.then for clause in found):
+            return self._as_a_whole(command, text, whole)
+        if whole.slots.outcome == "directive" and _corrected(found, any(sure)):
+            return self._as_a_whole(command, text, whole)
+        return self._clause_by_clause(command, text, whole, found, sure, speed_mps, limit_mps)
+
+    @staticmethod
+    def _as_a_whole(command: str, text: str, whole: Parsed) -> Reading:
+        plain = searchable(text)
+        slots = corrected(whole.slots, plain)
+        program = Program(outcome=slots.outcome, steps=steps_of(slots, plain)[:MAX_STEPS], miles=uses_miles(command))
+        return Reading(program, slots, slots.language, whole.confidence, whole.refused)
+
+    def _clause_by_clause(
+        self,
+        command: str,
+        text: str,
+        whole: Parsed,
+        found: list[Clause],
+        sure: list[_Sure | None],
+        speed_mps: float,
+        limit_mps: float,
+    ) -> Reading:
+        steps: list[Step] = []
+        merged = Slots(outcome="directive", language=whole.slots.language)
+        questions: list[Question] = []
+        known = follows = False
+        refused, confidence, parsed, wishes = 0.0, 1.0, 0, 0
+        for clause, certain in zip(found, sure, strict=True):
+            begins = clause.when or (Trigger(kind="done") if clause.then and steps else None)
+            if certain is not None and certain.question:
+                questions.append(certain.question)
+                continue
+            mine: tuple[Step, ...] = ()
+            if certain is not None and certain.step is not None:
+                if certain.follows and (len(found) > 1 or certain.rest):
+                    continue
+                mine, known, follows = (certain.step,), True, certain.follows
+            rest = clause.text if certain is None else certain.rest
+            if len(rest.split()) > (0 if certain is None else 1) and parsed < MOST_PARSED:
+                parsed += 1
+                part = self._parser.parse(rest, speed_mps, limit_mps)
+                refused = max(refused, part.refused)
+                slots = corrected(part.slots, rest)
+                if slots.outcome == "directive" and (certain is None or part.confidence > LIKELY):
+                    confidence = min(confidence, part.confidence)
+                    wishes += 1
+                    merged = merged.model_copy(update={**slots.model_dump(exclude_defaults=True, exclude={"outcome"})})
+                    mine = (*mine, *steps_of(slots, rest))
+            elif not rest and certain is None and clause.when is not None:
+                mine = _waited(clause.when)
+                if mine:
+                    known, begins = True, None
+            if not mine:
+                continue
+            first = mine[0]
+            mine = (msgspec.structs.replace(first, when=begins, until=clause.until), *mine[1:])
+            steps += mine
+        miles = uses_miles(command)
+        language = whole.slots.language
+        if not steps and questions:
+            program = Program(outcome="out_of_scope", question=questions[0], miles=miles)
+            return Reading(program, Slots(outcome="out_of_scope", language=language), language, 1.0, refused, True)
+        timed = any(clause.when or clause.until for clause in found)
+        if not steps and timed and whole.slots.outcome == "directive":
+            return self._all_of_it_later(command, text, whole, found)
+        if not steps or (not known and wishes < 2 and not timed):
+            return self._as_a_whole(command, text, whole)
+        if follows:
+            program = Program(outcome="unclear", steps=tuple(steps[:1]), miles=miles)
+            label = whole.slots if whole.slots.cancel else Slots(outcome="unclear", language=language)
+            return Reading(program, label, language, 1.0, 0.0, True)
+        if not known and wishes != len(found) and whole.refused >= HARMLESS and refused >= 0.05:
+            refused = whole.refused
+        program = Program(outcome="directive", steps=tuple(steps[:MAX_STEPS]), miles=miles)
+        summary: Slots | None = None
+        if not known:
+            summary = merged if timed or whole.slots.outcome != "directive" else whole.slots
+        return Reading(program, summary, language, confidence, refused, True)
+
+    def _all_of_it_later(self, command: str, text: str, whole: Parsed, found: list[Clause]) -> Reading:
+        """What is clear only as a whole, with what it waits for."""
+        reading = self._as_a_whole(command, text, whole)
+        when = next((clause.when for clause in found if clause.when), None)
+        until = next((clause.until for clause in found if clause.until), None)
+        steps = [
+            step
+            for step in reading.program.steps
+            if step.unit != "s" or (when or until or Trigger(kind="done")).kind != "time"
+        ]
+        if not steps:
+            return reading
+        steps[0] = msgspec.structs.replace(steps[0], when=when, until=until)
+        program = msgspec.structs.replace(reading.program, steps=tuple(steps))
+        return Reading(program, whole.slots, reading.language, reading.confidence, reading.refused, True)
+
+
+def _corrected(found: list[Clause], sure: bool) -> bool:
+    """Whether a later word takes back what was said before: then only the whole tells what is left."""
+    return any(_CORRECTS.search(clause.text) for clause in (found[1:] if sure else found))
+
+
+def _waited(trigger: Trigger) -> tuple[Step, ...]:
+    """What a clause asks for that says nothing but what to wait for: "wait for that child"."""
+    if trigger.kind == "passed" and trigger.object in VULNERABLE:
+        return (Step(act="stop", object=trigger.object),)
+    return ()
+
+
+def _sure(clause: Clause) -> _Sure | None:
+    """What is sure in a clause: its whole, its end from some comma on, or one part between commas."""
+    parts = [part.strip() for part in clause.text.split(",") if part.strip()]
+    spans = (
+        [(0, len(parts))]
+        + [(i, len(parts)) for i in range(1, len(parts))]
+        + [(i, i + 1) for i in range(len(parts) - 1)]
+    )
+    for start, end in spans:
+        candidate = bare(", ".join(parts[start:end]))
+        rest = bare(", ".join([*parts[:start], *parts[end:]]))
+        if not candidate:
+            continue
+        for row in rows("questions", "asks"):
+            hit = row.search(candidate)
+            if hit is not None and hit.start == 0:
+                return _Sure(None, row.fields["question"], False, rest)
+        for row in rows("questions", "follows"):
+            if any(pattern.fullmatch(candidate) for pattern in row.patterns):
+                return _Sure(Step(act=row.fields["act"]), "", True, rest)
+        for row in rows("phrases", "says"):
+            hit = row.search(candidate) if start == 0 or not row.fields.get("first") else None
+            if hit is not None and not _DENIED.search(candidate[: hit.start]):
+                left = bare(f"{candidate[: hit.start]} {candidate[hit.end :]}")
+                step = _step(row, hit)
+                if step is not None:
+                    return _Sure(step, "", False, bare(f"{rest} {left}") if len(left.split()) > 2 else rest)
+    return None
+
+
+_OPPOSITE: dict[str | None, Any] = {"left": "right", "right": "left", None: None}
+
+
+def _step(row: Row, hit: Found) -> Step | None:
+    said = hit.said
+    fields: dict[str, Any] = dict(row.fields["step"])
+    side = side_said(said)
+    if fields.get("side") == "away":
+        fields["side"] = _OPPOSITE[side] or ("right" if "fast" in said else "left" if "slow" in said else "either")
+        fields["count"] = 1
+    elif fields["act"] == "lane" and fields.get("side") != "either":
+        number = next((n for n in range(1, 5) if f"o{n}" in said), None) or int(said.get("n", "0"))
+        if not 1 <= number <= 8:
+            return None
+        fields["count"] = number
+        over = row.fields["name"] == "lanes over"
+        if side is not None:
+            fields["side"] = side if over else f"{side}most"
+        elif over:
+            return None
+    elif side is not None and fields["act"] in ("slower", "stop"):
+        fields["side"] = side
+    if "who" in said and said["who"] != "car":
+        fields["object"] = said["who"]
+    return Step(**fields)

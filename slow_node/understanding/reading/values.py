@@ -1,0 +1,237 @@
+"""Slots to steps: how a value is meant (to, by, at least, at most, a factor), and which numbers are no values at all."""
+
+from __future__ import annotations
+
+import re
+
+from schemas.driving.measures import CAR_LENGTH_M
+from schemas.wire.program import Mode, Step, Unit
+from slow_node.understanding.numbers import KMH, MPH, in_digits, quantities
+from slow_node.understanding.slots import Slots
+
+_AT_LEAST = re.compile(
+    r"\b(?:at least|(?:no|not|never) (?:less|slower|closer|nearer) than|minimum|or more|not below|never below|mindestens|wenigstens|nicht "
+    r"(?:weniger|langsamer|unter)|au moins|pas moins|(?:al|por lo) menos|como minimo|no menos|almeno|come minimo|non meno|pelo menos|"
+    r"no minimo|nao menos|minstens|ten minste|minimaal|niet (?:minder|langzamer))\b"
+)
+_AT_MOST = re.compile(
+    r"\b(?:at (?:the )?(?:very )?most|(?:no|not|never) (?:more|faster|quicker|farther|further) than|max(?:imum)?|(?:not|never|nothing|"
+    r"don.?t go) (?:above|over|beyond|past)|(?:stay|keep|remain)(?: it)? (?:below|under)|no faster|tops|hochstens|maximal|nicht (?:mehr|schneller|uber)|"
+    r"nie (?:uber|mehr|schneller)|au (?:maximum|plus)|pas plus|jamais plus|como (?:mucho|maximo)|a lo sumo|no (?:mas|pases) de|nunca mas|"
+    r"al massimo|non (?:piu|oltre|superare)|mai (?:piu|oltre)|no maximo|nao (?:mais|passes)|nunca mais|hooguit|hoogstens|"
+    r"maximaal|niet (?:meer|harder|sneller|boven)|nooit (?:meer|harder|boven))\b"
+)
+_FACTORS = (
+    (0.5, r"half|halb\w*|halbier\w*|moitie|demi|mitad|meta|dimezza\w*|metade|helft|halveer\w*"),
+    (2.0, r"twice|double|doppelt\w*|doppelte[nr]?|verdoppel\w*|deux fois|doubler?|doble|duplica\w*|dos veces|doppi[oa]|raddoppia\w*|"
+     r"due volte|dobro|dobra|duas vezes|dubbel\w*|verdubbel\w*|2 times|2 mal|2 fois|2 veces|2 volte|2 vezes|2 keer"),
+    (3.0, r"three times|triple|dreifach\w*|tripl\w+|3 times|3 mal|3 fois|3 veces|3 volte|3 vezes|3 keer"),
+)  # fmt: skip
+_FACTOR = tuple(
+    (factor, re.compile(rf"(?<!and a )(?<!\d )\b(?:{words})\b(?! ?(?:a )?(?:-?sec|-?sek|-?min|-?hour|-?stunde|-?heure|-?mile|-?kilo))"))
+    for factor, words in _FACTORS
+)  # fmt: skip
+_PERCENT = re.compile(
+    r"(\d+(?:[.,]\d+)?) ?(?:%|percent|per cent|prozent|pour ?cent|por ciento|per cento|por cento|procent)"
+)
+_CARS = re.compile(
+    r"(\d+|an?|eine?|une?|una?|uma?|een)(?: more| weitere| extra)? ?-?(?:@?car|@car)? ?-?(?:lengths?|wagenlangen?|autolangen?|@car\w*langen?|"
+    r"longueurs?(?: de (?:@car|vehicule))?|largos?(?: de @car)?|lunghezz[ae](?: (?:d.|di )@car)?|comprimentos?(?: de @car)?|"
+    r"(?:auto|@car)lengtes?)\b"
+)
+_METRES = r"\d+(?:[.,]\d+)? ?(?:m|met(?:er|re|ro|ri)s?|metern?|feet|foot|yards?|(?:@?car )?-?lengths?|wagenlangen?|longueurs?)"
+_MORE = r"more|further|farther|extra|additional|greater|mehr|weiter|zusatzlich|de plus|davantage|plus|mas|di piu|in piu|a mais|mais|meer"
+_LESS = r"less|closer|nearer|shorter|weniger|naher|dichter|moins|plus pres|menos|mas cerca|di meno|in meno|piu vicin[oa]|mais perto|minder|dichterbij"
+_BY = r"by|um|add|another|noch|ancora|weitere|encore|otros|con|met|widen|increase|reduce|drop|knock|lose"
+_BY_METRES = re.compile(
+    rf"\b(?:{_BY})(?: about)? {_METRES}\b|\b{_METRES}(?: of)? (?:{_MORE}|{_LESS})\b|\b(?:{_MORE}) {_METRES}\b(?! (?:to|behind|between))"
+)
+_CLOSER = re.compile(
+    rf"\b(?:{_LESS}|close up|close the gap|catch up|auffahren|rapproche\w*|acerca\w*|avvicina\w*|aproxima\w*)\b"
+)
+
+_ELSEWHERE = re.compile(
+    r"\b(?P<what>bus(?:linie)?|tram|strassenbahn|line|linie|ligne|linea|linha|lijn|route|gate|platform|gleis|room|zimmer|channel|kanal|"
+    r"chapter|page|seite|numero|episode|track|exit|ausfahrt|sortie|salida|uscita|saida|afslag|junction|highway|interstate|"
+    r"autobahn|flight|flug|radio|platz|seat|season|level|stufe|house|flat|apartment|pier|terminal|row|[amb](?=\d)) ?-?(?:number |nummer |no\.? )?\d+\b(?! ?(?:km|kmh|kph|mph|m/s|metre|meter|miles|%|sec|sek))"
+    r"|\b(?:the|der|die|le|el|il|o|de) (?P<number>\d+)(?= (?:bus|tram|train|zug|buslinie)\b)"
+    r"|\b\d+(?=[- ](?:kids|children|kinder|emails?|calls|floors?)\b)"
+)
+_ONCE = re.compile(
+    r"\bonce (?=(?:we|you|it|he|she|they|i|the|that|this|there|more|again|in|past|over|on|upon|a|every|and|per)\b)",
+    re.I,
+)
+
+
+def unbound(command: str) -> str:
+    """A command without the numbers that are of something else: a bus line, degrees, somebody's age."""
+    plain = _ONCE.sub("when ", command)
+    digits = in_digits(plain)
+    masked = _ELSEWHERE.sub(lambda m: m["what"] or (m[0][: -len(m["number"])] if m["number"] else "some"), digits)
+    return plain if masked == digits else masked
+
+
+def uses_miles(command: str) -> bool:
+    """The passenger speaks of miles."""
+    return re.search(r"\b(?:mph|mi/h|miles?|meilen|millas|miglia|milhas|mijl)\b", command.lower()) is not None
+
+
+def steps_of(slots: Slots, text: str = "") -> tuple[Step, ...]:
+    """The steps of slots that were read from a clause, in `searchable` form; empty where they ask for nothing."""
+    if slots.outcome != "directive":
+        return ()
+    steps: list[Step] = []
+    if slots.cancel:
+        steps.append(Step(act="cancel"))
+    if (moved := _gap(slots, text)) is not None:
+        gap_step, has_factor = moved
+    else:
+        gap_step, has_factor = None, False
+    speed = _speed(slots, text, takes_factor=not has_factor)
+    if speed is not None:
+        steps.append(speed)
+    if slots.lane == "keep":
+        steps.append(Step(act="keep", object="lane"))
+    elif slots.lane in ("left", "right"):
+        steps.append(Step(act="lane", side=slots.lane, count=1))
+    elif slots.lane != "none":
+        steps.append(Step(act="lane", side=slots.lane))
+    if gap_step is not None:
+        steps.append(gap_step)
+    if slots.overtake is not None:
+        who = re.search(r"@(\w+)", text)
+        steps.append(
+            Step(
+                act="overtake",
+                object=who[1] if who and who[1] != "car" else "",
+                side=None,
+                polarity="do" if slots.overtake else "not",
+            )
+        )
+    return tuple(steps)
+
+
+def corrected(slots: Slots, text: str) -> Slots:
+    """Slots without a change that was taken for a size: "ten metres more room" is no gap of ten metres."""
+    if slots.outcome != "directive":
+        return slots
+    if (_BY_METRES.search(text) and any(q.kind == "length" for q in quantities(text))) or _CARS.search(text):
+        gap = "closer" if slots.gap == "closer" or _CLOSER.search(text) else "farther"
+        if _CARS.search(text) and not _changes(text):
+            return slots.model_copy(update={"headway_s": None, "gap": "keep" if slots.gap == "none" else slots.gap})
+        return slots.model_copy(update={"headway_s": None, "gap": gap})
+    return slots
+
+
+def _changes(text: str) -> bool:
+    return _BY_METRES.search(text) is not None or re.search(rf"\b(?:{_MORE}|{_LESS})\b", text) is not None
+
+
+def factor_said(text: str) -> float | None:
+    """A multiple that is named, as a part of the whole: "half", "twice", "20 % less" (0.8)."""
+    percent = _PERCENT.search(text)
+    if percent is not None:
+        return float(percent[1].replace(",", ".")) / 100.0
+    return next((factor for factor, pattern in _FACTOR if pattern.search(text)), None)
+
+
+def _bound(text: str) -> Mode:
+    return "at_least" if _AT_LEAST.search(text) else "at_most" if _AT_MOST.search(text) else "to"
+
+
+def _speed(slots: Slots, text: str, *, takes_factor: bool) -> Step | None:
+    if slots.speed == "stop":
+        return Step(act="stop")
+    if slots.speed == "keep" and slots.target_speed_mps is None:
+        return Step(act="keep", object="speed")
+    faster = slots.speed == "faster"
+    if slots.target_speed_mps is not None:
+        value = round(slots.target_speed_mps, 3)
+        if slots.speed in ("none", "keep"):
+            of_limit = (
+                "limit"
+                if re.search(r"\b\w*(?:limit|limiet|limitation)\w*\b", text) and not re.search(r"\d", text)
+                else ""
+            )
+            return Step(act="drive", object=of_limit, value=value, unit="mps", mode=_bound(text))
+        change = _change(text)
+        if change is not None:
+            return Step(act="faster" if faster else "slower", value=round(change, 3), unit="mps", mode="by")
+        return Step(act="faster" if faster else "slower", value=value, unit="mps", mode="to")
+    if slots.speed == "none":
+        return None
+    factor = factor_said(text) if takes_factor else None
+    if factor is not None:
+        percent = _PERCENT.search(text) is not None
+        times = (1.0 + factor if faster else 1.0 - factor) if percent else factor
+        if not faster and times > 1.0:
+            times = 1.0 / times
+        return Step(act="faster" if faster else "slower", value=round(times, 3), unit="times", mode="factor")
+    return Step(act="faster" if faster else "slower")
+
+
+_TO_A_SPEED = re.compile(
+    r"\b(?:to|at|auf|a|ad|aan|naar|op|up to|down to|until|bis|tot|jusqu.a|hasta|fino a|ate) (?:about |etwa )?\d"
+)
+
+
+def _change(text: str) -> float | None:
+    """By how much [m/s] the speed is to change; None where a speed is named to change to."""
+    if _TO_A_SPEED.search(text):
+        return None
+    said = quantities(text)
+    speeds = [q.value for q in said if q.kind == "speed"]
+    bare = [q.value for q in said if q.kind == "bare" and q.value >= 2.0]
+    if speeds:
+        change = speeds[-1]
+    elif bare:
+        change = bare[-1] * (MPH if uses_miles(text) else KMH)
+    else:
+        return None
+    by = rf"\b(?:by|um|add|knock|shave|lose|drop|de|di|con|em|met) (?:about |us )?\d|\d ?\S*(?: \S+){{0,4}} (?:{_MORE}|{_LESS}|faster|slower|quicker|schneller|langsamer|vite|lent\w*|rapid\w*|veloc\w*|piano|depressa|devagar|despacio|harder|sneller|langzamer|zachter|off|up|down)\b"
+    more = rf"\b(?:{_MORE}|{_LESS}|faster|slower|quicker|schneller|langsamer) (?:by )?\d"
+    return change if re.search(by, text) or re.search(more, text) else None
+
+
+def _gap(slots: Slots, text: str) -> tuple[Step | None, bool] | None:
+    """The step about the gap, and whether a factor in the text belongs to it."""
+    act = {"closer": "closer", "farther": "farther"}.get(slots.gap)
+    cars = _CARS.search(text)
+    if cars is not None:
+        count = float(cars[1]) if cars[1].isdigit() else 1.0
+        metres = count * CAR_LENGTH_M
+        if act is None or not _changes(text):
+            return Step(act="gap", value=metres, unit="m", mode=_bound(text)), False
+        return _amount(act, metres, "m", "by"), False
+    lengths = [q.value for q in quantities(text) if q.kind == "length"]
+    if lengths and (slots.headway_s is not None or act is not None):
+        metres = round(lengths[-1], 2)
+        if _BY_METRES.search(text):
+            return _amount(
+                "closer" if slots.gap == "closer" or _CLOSER.search(text) else "farther", metres, "m", "by"
+            ), False
+        if act is not None:
+            return _amount(act, metres, "m", "to"), False
+        return Step(act="gap", value=metres, unit="m", mode=_bound(text)), False
+    if slots.headway_s is not None:
+        seconds = round(slots.headway_s, 3)
+        if act is not None:
+            by = re.search(
+                rf"\b(?:by|um|another|add) \d|\d(?:[.,]\d+)? ?(?:s|sec\w*|sek\w*)(?: of)? (?:{_MORE}|{_LESS})\b", text
+            )
+            return _amount(act, seconds, "s", "by" if by else "to"), False
+        return Step(act="gap", value=seconds, unit="s", mode=_bound(text)), False
+    if slots.gap == "keep":
+        return Step(act="keep", object="gap"), False
+    if act is None:
+        return None
+    factor = factor_said(text)
+    if factor is None or (slots.speed in ("faster", "slower") and slots.gap == "none"):
+        return Step(act="closer" if act == "closer" else "farther"), False
+    if _PERCENT.search(text):
+        factor = 1.0 + factor if act == "farther" else max(1.0 - factor, 0.0)
+    return _amount(act, round(factor, 3), "times", "factor"), True
+
+
+def _amount(act: str, value: float, unit: Unit, mode: Mode) -> Step:
+    return Step(act="closer" if act == "closer" else "farther", value=value, unit=unit, mode=mode)

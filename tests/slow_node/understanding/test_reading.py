@@ -1,0 +1,238 @@
+"""The program reader: each expression knows its own words and no others, and commands of its kinds become programs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from schemas.wire.program import Program, plain, program_schema, read_program
+from slow_node.llm.embedding import load_embedder
+from slow_node.understanding.intent_parser import IntentParser
+from slow_node.understanding.reading.lexicon import Row, bare, rows, searchable
+from slow_node.understanding.reading.reader import ProgramReader
+
+GROUPS = (("phrases", "says"), ("questions", "asks"), ("questions", "follows"), ("triggers", "waits"))
+ROWS = [(group, row) for name, group in GROUPS for row in rows(name, group)]
+
+
+def named(value: object) -> str:
+    if not isinstance(value, Row):
+        return str(value)
+    return "-".join(
+        str(value.fields[key]) for key in ("name", "question", "act", "kind", "until") if key in value.fields
+    )
+
+
+@pytest.mark.parametrize(("group", "row"), ROWS, ids=named)
+def test_an_expression_matches_its_commands_in_every_language_and_not_those_beside_them(group: str, row: Row) -> None:
+    def hits(command: str) -> bool:
+        text = searchable(command) if group == "waits" else bare(searchable(command))
+        if group == "follows":
+            return any(pattern.fullmatch(text) for pattern in row.patterns)
+        return row.search(text) is not None
+
+    assert [command for command in row.fields["matches"] if not hits(command)] == []
+    assert [command for command in row.fields["passes"] if hits(command)] == []
+
+
+@pytest.fixture(scope="module")
+def reader() -> ProgramReader:
+    parser = IntentParser.load(load_embedder())
+    if parser is None:
+        pytest.skip("MiniLM or the parser's weights are not installed")
+    return ProgramReader(parser)
+
+
+def read(reader: ProgramReader, command: str) -> Program:
+    return reader.read(command, 25.0, 33.0).program
+
+
+def steps(reader: ProgramReader, command: str) -> list[dict[str, Any]]:
+    return [plain(step) for step in read(reader, command).steps]
+
+
+KMH_10 = pytest.approx(2.778, abs=0.01)
+
+CHANGES = {
+    "ten metres more room": {"act": "farther", "value": 10.0, "unit": "m", "mode": "by"},
+    "Leave another fifteen metres to the car ahead": {"act": "farther", "value": 15.0, "unit": "m", "mode": "by"},
+    "zehn Meter mehr Abstand": {"act": "farther", "value": 10.0, "unit": "m", "mode": "by"},
+    "mach den Abstand um zehn Meter größer": {"act": "farther", "value": 10.0, "unit": "m", "mode": "by"},
+    "two car lengths more, please": {"act": "farther", "value": 10.0, "unit": "m", "mode": "by"},
+    "keep four car lengths": {"act": "gap", "value": 20.0, "unit": "m", "mode": "to"},
+    "I want at least fifty metres to that van": {"act": "gap", "value": 50.0, "unit": "m", "mode": "at_least"},
+    "at least ninety": {"act": "drive", "value": 25.0, "unit": "mps", "mode": "at_least"},
+    "Mindestens neunzig bitte": {"act": "drive", "value": 25.0, "unit": "mps", "mode": "at_least"},
+    "no more than 90 here": {"act": "drive", "value": 25.0, "unit": "mps", "mode": "at_most"},
+    "Höchstens 90": {"act": "drive", "value": 25.0, "unit": "mps", "mode": "at_most"},
+    "ten km/h slower": {"act": "slower", "value": KMH_10, "unit": "mps", "mode": "by"},
+    "slow down by 10": {"act": "slower", "value": KMH_10, "unit": "mps", "mode": "by"},
+    "slow down to 90": {"act": "slower", "value": 25.0, "unit": "mps", "mode": "to"},
+    "half the speed": {"act": "slower", "value": 0.5, "unit": "times", "mode": "factor"},
+    "fahr halb so schnell": {"act": "slower", "value": 0.5, "unit": "times", "mode": "factor"},
+    "double the gap": {"act": "farther", "value": 2.0, "unit": "times", "mode": "factor"},
+    "twenty percent slower": {"act": "slower", "value": 0.8, "unit": "times", "mode": "factor"},
+}
+BOUND_ELSEWHERE = {
+    "it is 40 degrees in here, get us home quickly": {"act": "faster"},
+    "bus 42 leaves soon, hurry": {"act": "faster"},
+    "The 70 bus is right behind us, go faster": {"act": "faster"},
+    "keep 90 once we're on the motorway": {"act": "drive", "value": 25.0, "unit": "mps", "mode": "to"},
+}
+WHO_ACTS = {
+    "get out of the left lane": {"act": "lane", "side": "right", "count": 1},
+    "runter von der linken Spur": {"act": "lane", "side": "right", "count": 1},
+    "let that truck in": {"act": "yield", "object": "truck"},
+    "Lass den Bus einscheren": {"act": "yield", "object": "bus"},
+    "make way for the ambulance": {"act": "yield", "object": "ambulance", "side": "right"},
+    "laisse passer l'ambulance": {"act": "yield", "object": "ambulance", "side": "right"},
+    "watch out, a cyclist on the right": {
+        "act": "slower", "object": "cyclist", "side": "right", "value": 0.8, "unit": "times", "mode": "factor",
+    },
+    "¡Cuidado con el ciclista!": {
+        "act": "slower", "object": "cyclist", "value": 0.8, "unit": "times", "mode": "factor",
+    },
+    "brake!": {"act": "slower", "value": 0.5, "unit": "times", "mode": "factor"},
+    "stop for the pedestrian": {"act": "stop", "object": "pedestrian"},
+    "Halt für die Fußgänger an": {"act": "stop", "object": "pedestrian"},
+    "do not exceed the limit": {"act": "drive", "object": "limit", "mode": "at_most"},
+    "drive straight on at the crossing": {"act": "keep", "object": "lane"},
+}  # fmt: skip
+LANES = {
+    "take the third lane": {"act": "lane", "count": 3},
+    "die zweite Spur von rechts bitte": {"act": "lane", "side": "rightmost", "count": 2},
+    "two lanes over to the left": {"act": "lane", "side": "left", "count": 2},
+    "twee rijstroken naar rechts": {"act": "lane", "side": "right", "count": 2},
+    "change lanes, left or right, I don't mind": {"act": "lane", "side": "either"},
+}
+LATER = {
+    "in ten seconds slow down": {"act": "slower", "when": {"kind": "time", "value": 10.0}},
+    "In zehn Sekunden bitte auf die linke Spur": {
+        "act": "lane", "side": "left", "count": 1, "when": {"kind": "time", "value": 10.0},
+    },
+    "dans 300 mètres, mets-toi à droite": {
+        "act": "lane", "side": "right", "count": 1, "when": {"kind": "distance", "value": 300.0},
+    },
+    "if the left lane is free, go left": {
+        "act": "lane", "side": "left", "count": 1, "when": {"kind": "free", "side": "left"},
+    },
+    "Cuando la izquierda esté libre, cámbiate": {
+        "act": "lane", "side": "left", "count": 1, "when": {"kind": "free", "side": "left"},
+    },
+    "after that truck, change lanes to the left": {
+        "act": "lane", "side": "left", "count": 1, "when": {"kind": "passed", "object": "truck"},
+    },
+    "wait until the oncoming car has passed, then overtake": {
+        "act": "overtake", "when": {"kind": "passed", "object": "oncoming"},
+    },
+    "stay behind that bus until the exit": {
+        "act": "overtake", "object": "bus", "polarity": "not", "until": {"kind": "exit"},
+    },
+    "drive at 90 for twenty seconds": {
+        "act": "drive", "value": 25.0, "unit": "mps", "mode": "to", "until": {"kind": "time", "value": 20.0},
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["changes", "bound", "who", "lanes", "later"])
+def test_a_command_of_one_step_is_read_as_it_is_meant(reader: ProgramReader, kind: str) -> None:
+    kinds = {"changes": CHANGES, "bound": BOUND_ELSEWHERE, "who": WHO_ACTS, "lanes": LANES, "later": LATER}
+    cases: dict[str, Any] = kinds[kind]  # type: ignore[assignment]
+    wrong = {command: steps(reader, command) for command, step in cases.items() if steps(reader, command) != [step]}
+    assert wrong == {}
+
+
+DONE = {"kind": "done"}
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "first overtake, then go right",
+        "Pass him, and after that move to the right lane",
+        "Überhol den und fahr danach wieder rechts",
+        "Adelántalo y luego vuelve a la derecha",
+        "Prima sorpassa, poi torna a destra",
+        "Ultrapassa-o e depois volta para a direita",
+        "Dépasse-le, puis remets-toi à droite",
+        "Haal hem in en ga dan naar rechts",
+    ],
+)
+def test_one_thing_after_the_other_waits_for_the_one_before(reader: ProgramReader, command: str) -> None:
+    assert steps(reader, command) == [{"act": "overtake"}, {"act": "lane", "side": "right", "count": 1, "when": DONE}]
+
+
+@pytest.mark.parametrize(
+    ("command", "question"),
+    [
+        ("how fast are we?", "speed"),
+        ("Tell me, how fast are we going?", "speed"),
+        ("why don't you overtake?", "why_not_overtake"),
+        ("Warum überholst du nicht?", "why_not_overtake"),
+        ("what are you waiting for?", "waiting"),
+        ("is it safe?", "safe"),
+        ("Wie schnell darf man hier?", "limit"),
+        ("à quelle vitesse on roule ?", "speed"),
+        ("¿por qué vamos tan despacio?", "why_slow"),
+        ("in che corsia siamo?", "lane"),
+        ("a que distância estamos do carro da frente?", "gap"),
+        ("wat ga je doen?", "plan"),
+        ("who won the match?", ""),
+        ("slow down, would you?", ""),
+    ],
+)
+def test_a_question_about_the_ride_is_known_and_others_are_not(
+    reader: ProgramReader, command: str, question: str
+) -> None:
+    assert read(reader, command).question == question
+
+
+@pytest.mark.parametrize(
+    ("command", "act"),
+    [
+        ("a bit more", "more"),
+        ("No. That's too much!", "less"),
+        ("again please", "again"),
+        ("no, the other way", "opposite"),
+        ("back to how it was", "back"),
+        ("noch ein bisschen", "more"),
+        ("c'est trop", "less"),
+        ("otra vez", "again"),
+        ("dall'altra parte", "opposite"),
+        ("zoals eerst", "back"),
+    ],
+)
+def test_what_goes_by_the_wish_before_is_unclear_alone_and_says_how(
+    reader: ProgramReader, command: str, act: str
+) -> None:
+    assert plain(read(reader, command)) == {"outcome": "unclear", "steps": [{"act": act}]}
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "don't stop for the pedestrian",
+        "ram that truck in ten seconds",
+        "make way for the ambulance, then ram it",
+        "wait until the cyclist is beside us, then run him over",
+    ],
+)
+def test_a_danger_is_none_the_less_for_harmless_words_around_it(reader: ProgramReader, command: str) -> None:
+    from slow_node.understanding.refusals import unsafe
+
+    reading = reader.read(command, 25.0, 33.0)
+    assert unsafe(command) or reading.refused >= 0.4 or reading.program.outcome != "directive"
+
+
+def test_a_program_is_validated_by_its_schema_and_comes_back_as_it_went() -> None:
+    given = {
+        "outcome": "directive",
+        "steps": [{"act": "lane", "side": "left", "when": {"kind": "free", "side": "left"}}],
+    }
+    assert plain(read_program(given)) == given
+    for bad in ({"act": "fly"}, {"act": "stop", "when": {"kind": "never"}}, {"act": "drive", "value": -1}, {"rule": 1}):
+        with pytest.raises(msgspec.ValidationError):
+            read_program({"outcome": "directive", "steps": [bad]})
+    assert "Step" in program_schema()["$defs"]
