@@ -77,7 +77,7 @@ def closing_mps(spare: float, brake: float) -> float:
 
 
 def narrow(
-    rule: Any,
+    reasons: Any,
     rows: Any,
     near: Any,
     lanes: Any,
@@ -90,8 +90,8 @@ def narrow(
     headway_s: float,
     cap_mps: float,
 ) -> None:
-    """Close in `rule` (6,), of what is safe, what the intent (lane, speed_mps, headway_s) rules out; something milder
-    than braking stays open.
+    """Close in `reasons` (6,), of what is safe, what the intent (lane, speed_mps, headway_s) rules out; something
+    milder than braking stays open.
 
     rows, near, lanes and the set-points: as `mask.close_actions` has them. left_lane: not entered again yet (see
     `hold_off`), or -1; cap_mps: the speed that is admitted now.
@@ -99,28 +99,28 @@ def narrow(
     ours = lanes[target_lane][LANE_WAY] > 0
     if previous_lane >= 0:
         if ours:  # what has begun is given up where the mask leaves nothing else
-            close_unless_last(rule, LEFT if previous_lane < target_lane else RIGHT)
+            close_unless_last(reasons, LEFT if previous_lane < target_lane else RIGHT)
     else:
-        if rule[LEFT] == OPEN and lanes[target_lane - 1][LANE_WAY] < 0 and lane != target_lane - 1:
-            close_unless_last(rule, LEFT)  # an oncoming lane is not borrowed unasked
+        if reasons[LEFT] == OPEN and lanes[target_lane - 1][LANE_WAY] < 0 and lane != target_lane - 1:
+            close_unless_last(reasons, LEFT)  # an oncoming lane is not borrowed unasked
         if ours and left_lane >= 0 and not lane_ends(lanes, target_lane):
             if left_lane == target_lane - 1:
-                close_unless_last(rule, LEFT)
+                close_unless_last(reasons, LEFT)
             elif left_lane == target_lane + 1:
-                close_unless_last(rule, RIGHT)
+                close_unless_last(reasons, RIGHT)
         if ours:
             for side, aim in ((LEFT, target_lane - 1), (RIGHT, target_lane + 1)):
                 if 0 <= aim < len(lanes) and not worth_entering(rows, near, lanes, target_lane, aim, headway_s):
-                    close_unless_last(rule, side)
-        if go_there(rule, lanes, target_lane, lane):
+                    close_unless_last(reasons, side)
+        if go_there(reasons, lanes, target_lane, lane):
             return
         if ours and lane >= 0 and not lane_ends(lanes, target_lane):
             if lane >= target_lane:
-                close_unless_last(rule, LEFT)
+                close_unless_last(reasons, LEFT)
             if lane <= target_lane:
-                close_unless_last(rule, RIGHT)
+                close_unless_last(reasons, RIGHT)
     if target_speed >= speed_mps or target_speed + SPEED_STEP_MPS > cap_mps:
-        close_unless_last(rule, SPEED_UP)
+        close_unless_last(reasons, SPEED_UP)
 
 
 def worth_entering(rows: Any, near: Any, lanes: Any, lane: int, aim: int, headway_s: float) -> bool:
@@ -136,50 +136,50 @@ def worth_entering(rows: Any, near: Any, lanes: Any, lane: int, aim: int, headwa
     return bool(soon >= min(headway_s, ENTER_S) * v)
 
 
-def close_unless_last(rule: Any, action: int) -> None:
+def close_unless_last(reasons: Any, action: int) -> None:
     """Close `action` for the intent, if the policy has another one."""
-    if rule[action] != OPEN:
+    if reasons[action] != OPEN:
         return
     for a in range(POLICY_ACTIONS):
-        if a != action and rule[a] == OPEN:
-            rule[action] = NOT_WISHED
+        if a != action and reasons[a] == OPEN:
+            reasons[action] = NOT_WISHED
             return
 
 
-def go_there(rule: Any, lanes: Any, target_lane: int, lane: int) -> bool:
+def go_there(reasons: Any, lanes: Any, target_lane: int, lane: int) -> bool:
     """Leave nothing open but the change towards the intended lane, if that is open and leads to a lane that does not
     end before the road does. Returns whether it is so."""
     if lane < 0 or lane == target_lane:
         return False
     side, aim = (LEFT, target_lane - 1) if lane < target_lane else (RIGHT, target_lane + 1)
-    if rule[side] != OPEN or lane_ends(lanes, aim):
+    if reasons[side] != OPEN or lane_ends(lanes, aim):
         return False
     for a in range(POLICY_ACTIONS):
-        if a != side and rule[a] == OPEN:
-            rule[a] = NOT_WISHED
+        if a != side and reasons[a] == OPEN:
+            reasons[a] = NOT_WISHED
     return True
 
 
-def choose(logits: Any, rule: Any, due: bool, held: int) -> tuple[int, int]:
-    """(meta-action, who settled it) from five logits and the rules (6,) that close actions, `narrow` included.
+def choose(logits: Any, reasons: Any, due: bool, held: int) -> tuple[int, int]:
+    """(meta-action, who settled it) from five logits and the reasons (6,) that close actions, `narrow` included.
 
     due: a decision is to be made; otherwise `held`, what the last one asks for meanwhile, goes on where it is open, and
     else what is nearest to it: the speed holds, falls, rises, and at last the lane is changed.
     """
     if not due:
         for a in (held, CRUISE, SLOW_DOWN, SPEED_UP, RIGHT, LEFT):
-            if rule[a] == OPEN:
-                return a, HELD if a in (held, CRUISE) else WISHED if rule[CRUISE] == NOT_WISHED else MASKED
+            if reasons[a] == OPEN:
+                return a, HELD if a in (held, CRUISE) else WISHED if reasons[CRUISE] == NOT_WISHED else MASKED
         return BRAKE, MASKED
     wanted = 0
     best = -1
     for a in range(POLICY_ACTIONS):
         if logits[a] > logits[wanted]:
             wanted = a
-        if rule[a] == OPEN and (best < 0 or logits[a] > logits[best]):
+        if reasons[a] == OPEN and (best < 0 or logits[a] > logits[best]):
             best = a
     if best < 0:
         return BRAKE, MASKED
     if best == wanted:
         return best, DECIDED
-    return best, WISHED if rule[wanted] == NOT_WISHED else MASKED
+    return best, WISHED if reasons[wanted] == NOT_WISHED else MASKED

@@ -55,9 +55,9 @@ class _Delay:
     since: int
     """The tick at which it began."""
     why: Closure
-    """By which rule now."""
+    """For which reason now."""
     reported: set[Reason] = field(default_factory=set)
-    """Each rule is reported once."""
+    """Each reason is reported once."""
     overridden: bool = False
     """Whether it has been reported that the ego accelerates first."""
 
@@ -137,7 +137,7 @@ class Coordination:
         return intent, events
 
     def report(self, observation: Observation, intent: Intent, closed: tuple[Closure, ...], meta: int) -> list[Event]:
-        """Events for an intended lane change or speed that the mask holds back, by another rule now, or lets go."""
+        """Events for an intended lane change or speed that the mask holds back, for another reason now, or lets go."""
         current = self._directive
         if current is None or not self._pending:
             self._change = self._speed = None
@@ -152,7 +152,7 @@ class Coordination:
             if self._speed is not None and not self._speed.reported:
                 self._speed = None
             events = self._delayed(delay, current, observation)
-            if by.rule == Reason.REAR_GAP and self._raise_mps > 0.0 and not delay.overridden:
+            if by.reason == Reason.REAR_GAP and self._raise_mps > 0.0 and not delay.overridden:
                 delay.overridden = True
                 events.append(self._event(EventKind.OVERRIDDEN, current, observation, by, delay.since))
             return events
@@ -223,7 +223,7 @@ class Coordination:
         if wish.stopped:
             self._hurries = False
         elif self._change is not None:
-            self._hurries = self._change.why.rule == Reason.REAR_GAP
+            self._hurries = self._change.why.reason == Reason.REAR_GAP
         elif observation.previous_lane < 0:
             self._hurries = False
         if self._hurries:
@@ -350,11 +350,11 @@ class Coordination:
         return self._delayed(delay, directive, observation) if late else []
 
     def _delayed(self, delay: _Delay, directive: Directive, observation: Observation) -> list[Event]:
-        """That something is delayed, once for each rule."""
+        """That something is delayed, once for each reason."""
         self._why = delay.why
-        if delay.why.rule in delay.reported:
+        if delay.why.reason in delay.reported:
             return []
-        delay.reported.add(delay.why.rule)
+        delay.reported.add(delay.why.reason)
         return [self._event(EventKind.DELAYED, directive, observation, delay.why, delay.since)]
 
     @staticmethod
@@ -372,7 +372,7 @@ class Coordination:
             kind=kind,
             node="fast",
             tick=observation.tick,
-            rule=closure.rule if closure else None,
+            reason=closure.reason if closure else None,
             vehicle=closure.vehicle if closure else -1,
             since_tick=since,
             duration_s=(observation.tick - since) / observation.hz,

@@ -55,7 +55,7 @@ class FastNode:
             ), []
 
     def _step(self, observation: Observation, directive: Directive | None, now_ns: int) -> tuple[Action, list[Event]]:
-        rule, vehicle = [0] * 6, [-1] * 6
+        reasons, vehicle = [0] * 6, [-1] * 6
         lanes = lane_table(observation.lanes)
         table = self._tracks.follow(observation, rows_of(observation).tolist(), lanes)
         near = [0] * (3 * len(lanes))
@@ -70,14 +70,14 @@ class FastNode:
             observation.previous_lane,
             observation.sight_m,
             near,
-            rule,
+            reasons,
             vehicle,
             self._preset,
         )
         closed = tuple(
-            Closure(action=a, rule=_REASONS[rule[a] - 1], vehicle=vehicle[a])
+            Closure(action=a, reason=_REASONS[reasons[a] - 1], vehicle=vehicle[a])
             for a in range(POLICY_ACTIONS)
-            if rule[a] != OPEN
+            if reasons[a] != OPEN
         )
         intent, events = self._coordination.intent(observation, table, lanes, directive, now_ns)
         cap = min(
@@ -94,7 +94,7 @@ class FastNode:
             ),
         )
         self._left = hold_off(*self._left, observation.target_lane, observation.previous_lane)
-        narrowed = rule.copy()
+        narrowed = reasons.copy()
         narrow(
             narrowed,
             table,
@@ -123,7 +123,7 @@ class FastNode:
             source, why = SOURCES[by], ""
         except Exception as error:  # whatever the policy does, the car gets an answer
             meta, source, why = (
-                fallback(rule, lanes, observation.target_lane),
+                fallback(reasons, lanes, observation.target_lane),
                 "fallback",
                 f"{type(error).__name__}: {error}"[:120],
             )
@@ -131,7 +131,7 @@ class FastNode:
         self.counts["masked"] += source == "masked"
         self.counts["braked"] += meta == MetaAction.EMERGENCY_BRAKE
         if not why and meta == MetaAction.EMERGENCY_BRAKE:
-            why = "; ".join(sorted({c.rule for c in closed}))
+            why = "; ".join(sorted({c.reason for c in closed}))
         events += self._coordination.report(observation, intent, closed, meta)
         return Action(
             epoch=observation.epoch,
@@ -157,7 +157,7 @@ class FastNode:
         lanes: list[tuple[float, ...]],
         intent: Intent,
         cap: float,
-        rule: list[int],
+        reasons: list[int],
     ) -> Array:
         return self._policy.logits(
             features(
@@ -169,8 +169,8 @@ class FastNode:
                 observation.previous_lane >= 0,
                 lanes[observation.target_lane][LANE_END] - table[0][X],
                 cap,
-                rule[MetaAction.LEFT] == OPEN,
-                rule[MetaAction.RIGHT] == OPEN,
+                reasons[MetaAction.LEFT] == OPEN,
+                reasons[MetaAction.RIGHT] == OPEN,
             )
         )
 
@@ -191,11 +191,11 @@ def softmax(logits: list[float]) -> tuple[float, ...]:
     return tuple(weight / total for weight in weights)
 
 
-def fallback(rule: list[int], lanes: list[tuple[float, ...]], target_lane: int) -> int:
+def fallback(reasons: list[int], lanes: list[tuple[float, ...]], target_lane: int) -> int:
     """The rule that drives when the policy cannot: home from a borrowed lane, slower if need be, else hold."""
-    if lanes[target_lane][LANE_WAY] < 0 and rule[MetaAction.RIGHT] == OPEN:
+    if lanes[target_lane][LANE_WAY] < 0 and reasons[MetaAction.RIGHT] == OPEN:
         return MetaAction.RIGHT
     for action in MILDEST:
-        if rule[action] == OPEN:
+        if reasons[action] == OPEN:
             return action
     return MetaAction.EMERGENCY_BRAKE

@@ -27,7 +27,7 @@ READER_S = 3.0
 SETTLE_S = 0.3
 """Links to the other peers come up within this time of the first."""
 FAREWELL_S = 0.5
-"""The heart beats at 5 Hz: its last beat, with the final figures, has 0.3 s to arrive before the session closes."""
+"""The heart beats at 5 Hz: its last beat, with the final metrics, has 0.3 s to arrive before the session closes."""
 
 
 REHEARSALS_NS = (1_500_000, 800_000, 350_000)
@@ -133,7 +133,7 @@ class Answers:
 
 
 class Loop:
-    """The node, its answers and the schedule, with the figures of the heartbeat and the orders from outside."""
+    """The node, its answers and the schedule, with the metrics of the heartbeat and the orders from outside."""
 
     def __init__(self, bus: Bus, node: SimNode, answers: Answers, schedule: Schedule) -> None:
         self._bus, self._node, self._answers, self._schedule = bus, node, answers, schedule
@@ -187,7 +187,7 @@ class Loop:
         self._node.advance(self._answer, time.monotonic_ns())
         self._shown = False
 
-    def figures(self) -> dict[str, float]:
+    def metrics(self) -> dict[str, float]:
         """What the heartbeat shows; called from its thread."""
         node, m = self._node, self._node.metrics
         gate = self._answers.gate
@@ -234,7 +234,7 @@ def main() -> None:
         schedule = Schedule(RehearsingClock(bus, poll), config.hz)
         loop = Loop(bus, node, answers, schedule)
         ticks = float("inf") if config.duration_s is None else config.duration_s * config.hz
-        with Heartbeat(bus, "sim", loop.figures) as heart:
+        with Heartbeat(bus, "sim", loop.metrics) as heart:
             heart.epoch = node.epoch
             log("sim", "ready", epoch=node.epoch, scenario=config.scenario, seed=config.seed, realtime=scheduling)
             try:

@@ -318,7 +318,7 @@ def _foot(canvas: pygame.Surface, observation: Observation, action: Action | Non
             why = closed[int(meta)]
             _text(
                 canvas,
-                f"{why.rule}{f' ({why.vehicle})' if why.vehicle >= 0 else ''}",
+                f"{why.reason}{f' ({why.vehicle})' if why.vehicle >= 0 else ''}",
                 x + wide / 2,
                 y + 46,
                 15,

@@ -63,7 +63,7 @@ class Remember:
     scene: Scene
     slots: Slots
     outcome: str
-    """"fulfilled", "expired", "superseded" or "cancelled"; with the rule that held it up, where one did."""
+    """"fulfilled", "expired", "superseded" or "cancelled"; with the reason that held it up, where one did."""
     took_s: float
     """From the directive to its end."""
     min_ttc_s: float
@@ -90,7 +90,7 @@ class Deliberation:
         self._language = "en"
         self._last_id = 0
         self._asked = 0
-        self.figures: dict[str, float] = {"commands": 0, "directives": 0, "refused": 0, "replans": 0}
+        self.metrics: dict[str, float] = {"commands": 0, "directives": 0, "refused": 0, "replans": 0}
 
     @property
     def epoch(self) -> int:
@@ -98,8 +98,8 @@ class Deliberation:
 
     def refuse_payload(self, why: str, command_id: int, now_ns: int) -> list[Effect]:
         """A payload that is no command."""
-        self.figures["commands"] += 1
-        self.figures["refused"] += 1
+        self.metrics["commands"] += 1
+        self.metrics["refused"] += 1
         return [
             Reply(
                 epoch=self.epoch,
@@ -114,7 +114,7 @@ class Deliberation:
 
     def on_command(self, command: Command, now_ns: int) -> list[Effect]:
         """Heard at once; whatever was being interpreted is superseded. A command out of the past is not obeyed."""
-        self.figures["commands"] += 1
+        self.metrics["commands"] += 1
         age_s = (now_ns - command.stamp_ns) / NS
         if age_s > topics.COMMAND.stale_after_s:
             return [self._refused(command, f"the command came {age_s:.0f} s late", "again", now_ns)]
@@ -174,8 +174,8 @@ class Deliberation:
         if event.kind == EventKind.DELAYED and event.directive_id == pursuit.directive.id:
             self._pursuit = replace(
                 pursuit,
-                delayed_by=event.rule or pursuit.delayed_by,
-                news=f"delayed by the fast system ({event.rule or 'safety'})",
+                delayed_by=event.reason or pursuit.delayed_by,
+                news=f"delayed by the fast system ({event.reason or 'safety'})",
             )
             return self._plan_again(now_ns)
         return []
@@ -264,7 +264,7 @@ class Deliberation:
         pursuit = self._pursuit = replace(pursuit, news="")
         if scene.borrowing or pursuit.returning:
             return []
-        self.figures["replans"] += 1
+        self.metrics["replans"] += 1
         pursuit = self._pursuit = replace(pursuit, planned_ns=now_ns)
         draft = pursuit.planned_again(scene)
         if draft.manoeuvre != "overtake" and asks_the_same(draft, pursuit.directive):
@@ -333,12 +333,12 @@ class Deliberation:
 
     def _directive(self, command: Command, draft: Directive, scene: Scene, reasoning: str, now_ns: int) -> Directive:
         self._last_id = max(self._last_id + 1, now_ns // 1000)
-        self.figures["directives"] += 1
+        self.metrics["directives"] += 1
         return issued(draft, scene, command.id, self._last_id, reasoning, now_ns)
 
     def _refused(self, command: Command, why: str, key: str, now_ns: int, *, say: str = "") -> Reply:
         """`say`, or our sentence for `key` in the language last spoken."""
-        self.figures["refused"] += 1
+        self.metrics["refused"] += 1
         return self._reply(command, "refused", now_ns, why=why, say=say or sentence(key, self._language))
 
     def _reply(

@@ -45,10 +45,10 @@ class SlowNode:
         self._seen: tuple[int, int] | None = None
         self._model_ms = 0.0
 
-    def figures(self) -> dict[str, float]:
+    def metrics(self) -> dict[str, float]:
         """For the heartbeat; called from its thread."""
         return {
-            **self._deliberation.figures,
+            **self._deliberation.metrics,
             "calls": float(self._model.calls),
             "model_ms": self._model_ms,
             "tokens": float(self._model.prompt_tokens + self._model.answer_tokens),
@@ -204,7 +204,7 @@ def serve(config: SlowConfig) -> None:
     with open_bus(config.bus) as bus:
         node, memory = build(bus, config)
         try:
-            with Heartbeat(bus, NAME, node.figures) as heart:
+            with Heartbeat(bus, NAME, node.metrics) as heart:
                 log(NAME, "ready", base_url=config.base_url, model=config.model, examples=len(memory))
                 asyncio.run(_until_signal(node, heart))
         finally:

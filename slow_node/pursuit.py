@@ -46,7 +46,7 @@ class Pursuit:
     planned_ns: int | None = None
     """When it was last planned again."""
     delayed_by: str = ""
-    """The mask's rule that last delayed it."""
+    """The mask's reason that last delayed it."""
     min_ttc_s: float = INF
 
     @property

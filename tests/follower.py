@@ -26,7 +26,7 @@ class Told(NamedTuple):
     """An event, in short."""
 
     kind: EventKind
-    rule: Reason | None
+    reason: Reason | None
     vehicle: int
     since: int
     seconds: float
@@ -46,7 +46,7 @@ class Seen(NamedTuple):
 
 
 def in_short(event: Event) -> Told:
-    return Told(event.kind, event.rule, event.vehicle, event.since_tick, event.duration_s)
+    return Told(event.kind, event.reason, event.vehicle, event.since_tick, event.duration_s)
 
 
 def observation(tick: int, *cars: Row, lane: int = 1, speed: float = 5.0, **fields: Any) -> Observation:
@@ -85,4 +85,4 @@ class Follower:
 
 def shut(*actions: MetaAction, by: Reason, vehicle: int = -1) -> dict[MetaAction, Closure]:
     """What the mask closes."""
-    return {action: Closure(action=int(action), rule=by, vehicle=vehicle) for action in actions}
+    return {action: Closure(action=int(action), reason=by, vehicle=vehicle) for action in actions}

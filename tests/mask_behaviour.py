@@ -46,7 +46,7 @@ class Scene(NamedTuple):
 
 
 def draw(count: int = N_SCENES, seed: int = 7) -> Iterator[Scene]:
-    """Scenes in which every rule has its say: cars are drawn around the ego, most of them near it."""
+    """Scenes in which every claim has its say: cars are drawn around the ego, most of them near it."""
     rng = np.random.default_rng(seed)
 
     def between(low: float, high: float) -> float:
@@ -126,18 +126,18 @@ def nearest_lane(lanes: list[tuple[float, ...]], y: float) -> int:
 
 
 def judged(scene: Scene, preset: Preset) -> tuple[int, ...]:
-    """What mask and choice make of a scene: the speed caps in mm/s, without and with the intent's (-1: none), the rule
-    and the vehicle of each action, the same with the intent's rules, the meta-action and who settled it."""
-    rule, vehicle, near = [0] * 6, [-1] * 6, [0] * (3 * len(scene.lanes))
+    """What mask and choice make of a scene: the speed caps in mm/s, without and with the intent's (-1: none), the
+    reason and the vehicle of each action, the same with the intent's, the meta-action and who settled it."""
+    reasons, vehicle, near = [0] * 6, [-1] * 6, [0] * (3 * len(scene.lanes))
     rows, lanes, lane = scene.rows, scene.lanes, scene.lane
     admitted = close_actions(
-        rows, lanes, scene.target_speed, lane, scene.previous, SIGHT_M, near, rule, vehicle, preset
+        rows, lanes, scene.target_speed, lane, scene.previous, SIGHT_M, near, reasons, vehicle, preset
     )
-    safe = list(rule)
+    safe = list(reasons)
     wished_lane, speed, headway = scene.intent
     cap = min(admitted, comfortable_mps(rows, near, lanes, lane, scene.accel, speed, headway, scene.style))
     narrow(
-        rule,
+        reasons,
         rows,
         near,
         lanes,
@@ -151,7 +151,7 @@ def judged(scene: Scene, preset: Preset) -> tuple[int, ...]:
         cap,
     )
     caps = [round(1000 * c) if math.isfinite(c) else -1 for c in (admitted, cap)]
-    return (*caps, *safe, *vehicle, *rule, *choose(scene.logits, rule, scene.due, scene.held))
+    return (*caps, *safe, *vehicle, *reasons, *choose(scene.logits, reasons, scene.due, scene.held))
 
 
 def digest(count: int = N_SCENES) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fast_node.mask.vocabulary import RULES
+from fast_node.mask.vocabulary import REASONS
 from schemas.wire.messages import MetaAction
 from tests.mask_scenes import HIGHWAY, PLAIN, capped, judge
 
@@ -20,8 +20,8 @@ Closed = dict[int, tuple[str, int]]
 
 def closed(*rows: list[float], lanes: Any = HIGHWAY, speed: float = 8.0, lane: int = 1, previous: int = -1) -> Closed:
     """Action to (reason, vehicle)."""
-    rule, vehicle = judge(list(rows), lanes, speed, lane, previous, PLAIN)
-    return {a: (RULES[r], v) for a, (r, v) in enumerate(zip(rule, vehicle, strict=True)) if RULES[r]}
+    reasons, vehicle = judge(list(rows), lanes, speed, lane, previous, PLAIN)
+    return {a: (REASONS[r], v) for a, (r, v) in enumerate(zip(reasons, vehicle, strict=True)) if REASONS[r]}
 
 
 def cap(*rows: list[float], lanes: Any = HIGHWAY, speed: float = 8.0, lane: int = 1, previous: int = -1) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from fast_node.mask import OPEN, PRESETS, RULES, Preset, close_actions
+from fast_node.mask import OPEN, PRESETS, REASONS, Preset, close_actions
 from fast_node.mask.neighbours import half_width, survey
 from fast_node.mask.vocabulary import Situation
 from schemas.driving.measures import rss_same_direction_m
@@ -73,10 +73,10 @@ def capped(
     rows, lanes, target_speed: float, lane: int, previous: int = -1, preset: Preset = SIM
 ) -> tuple[list[int], list[int], float]:
     """The same, and the speed cap [m/s]."""
-    rule, vehicle = [0] * 6, [0] * 6
+    reasons, vehicle = [0] * 6, [0] * 6
     near = [0] * (3 * len(lanes))
-    cap = close_actions(rows, lanes, target_speed, lane, previous, SIGHT_M, near, rule, vehicle, preset)
-    return rule, vehicle, cap
+    cap = close_actions(rows, lanes, target_speed, lane, previous, SIGHT_M, near, reasons, vehicle, preset)
+    return reasons, vehicle, cap
 
 
 def situation(
@@ -101,13 +101,13 @@ def moving(row: list[float], sideways: float = 0.0, sine: float = 0.0) -> list[f
 
 
 def closed(rows: list[list[float]], *, target_speed: float = 5.0, lane: int = 1, previous: int = -1) -> dict[int, str]:
-    rule, _ = judge(rows, LANES, target_speed, lane, previous)
-    return {a: RULES[r] for a, r in enumerate(rule) if r != OPEN}
+    reasons, _ = judge(rows, LANES, target_speed, lane, previous)
+    return {a: REASONS[r] for a, r in enumerate(reasons) if r != OPEN}
 
 
 def closed_on(lanes, rows, lane: int, previous: int = -1, target_speed: float | None = None) -> dict[int, str]:
-    rule, _ = judge(rows, lanes, rows[0][VX] if target_speed is None else target_speed, lane, previous)
-    return {a: RULES[r] for a, r in enumerate(rule) if r != OPEN}
+    reasons, _ = judge(rows, lanes, rows[0][VX] if target_speed is None else target_speed, lane, previous)
+    return {a: REASONS[r] for a, r in enumerate(reasons) if r != OPEN}
 
 
 EGO_X_M = {"two-way": (500.0, 500.0), "highway": (500.0, 500.0), "merge": (200.0, 345.0)}
@@ -256,10 +256,10 @@ def ahead_by(
     for tick in range(round(seconds / DT)):
         rows = rows_at(tick * DT, ego, lanes, others)
         seen = [r for r in rows if abs(r[X] - ego.x) <= SIGHT_M]
-        rule, _, cap = capped(seen, lanes, ego.target_speed, ego.lane, ego.previous, preset)
-        if tick == 0 and rule[first] != OPEN:
+        reasons, _, cap = capped(seen, lanes, ego.target_speed, ego.lane, ego.previous, preset)
+        if tick == 0 and reasons[first] != OPEN:
             return
-        meta = first if tick == 0 else next((a for a in liking if rule[a] == OPEN), MetaAction.EMERGENCY_BRAKE)
+        meta = first if tick == 0 else next((a for a in liking if reasons[a] == OPEN), MetaAction.EMERGENCY_BRAKE)
         ego = ego.moved(int(meta), lanes, lanes[-1][LANE_LIMIT], cap)
         yield ego, rows_at((tick + 1) * DT, ego, lanes, others)
 

@@ -62,7 +62,7 @@ class Ride:
         self.now_s += thinks_s
         return self._keep(self.deliberation.on_interpretation(call.id, Interpretation(slots, "", reached), self._now()))
 
-    def tell(self, kind: str, rule: str | None = None, *, number: int = -1) -> list[Effect]:
+    def tell(self, kind: str, reason: str | None = None, *, number: int = -1) -> list[Effect]:
         """The fast node reports about the newest directive, or the one of that number."""
         return self._keep(
             self.deliberation.on_event(
@@ -72,7 +72,7 @@ class Ride:
                     kind=EventKind(kind),
                     node="fast",
                     tick=0,
-                    rule=Reason(rule) if rule else None,
+                    reason=Reason(reason) if reason else None,
                     directive_id=self.directives[number].id,
                 ),
                 self._now(),

@@ -255,12 +255,12 @@ def measure(
     embedded model. Raises `ConfigError` if the system does not come up."""
     machine = host("auto")
     with _riding(folder, seed, without, model_env) as (passenger, pids):
-        before = passenger.heard.nodes["sim"].figures
+        before = passenger.heard.nodes["sim"].metrics
         rows = [passenger.say(spoken, spacing_s) for _ in range(repeats) for spoken in COMMANDS]
         passenger.listen(1.0)  # the last heartbeat
         for row in rows:
             row["became"] = passenger.last(row["id"])
-        after = passenger.heard.nodes["sim"].figures
+        after = passenger.heard.nodes["sim"].metrics
         memory = {name: rss_mb(pid) for name, pid in pids.items()}
         replaced = sorted(name for name in NODES if passenger.heard.nodes[name].pid != pids[name])
     return {

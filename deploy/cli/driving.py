@@ -138,7 +138,7 @@ def say(
 
 @commands.command(epilog="Examples:\n\n  fastslow status\n\n  fastslow status --json\n\n" + EXITS)
 def status(port: Port = DEFAULT_PORT, as_json: Json = False) -> None:
-    """Show the nodes of the running system and their figures."""
+    """Show the nodes of the running system and their metrics."""
     from deploy.run import passenger as talk
 
     raise typer.Exit(talk.status(port=port, as_json=as_json))

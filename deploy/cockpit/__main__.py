@@ -103,7 +103,7 @@ def main() -> None:
     try:
         with open_bus(config.bus) as bus:
             hubs: list[Hub] = []
-            with Heartbeat(bus, NAME, lambda: {"port": port, **(hubs[0].figures() if hubs else {})}):
+            with Heartbeat(bus, NAME, lambda: {"port": port, **(hubs[0].metrics() if hubs else {})}):
 
                 def ready(hub: Hub) -> None:
                     hubs.append(hub)

@@ -68,7 +68,7 @@ class Hub:
         self._told: dict[str, Any] = {}
         self._state = b"{}"
 
-    def figures(self) -> dict[str, float]:
+    def metrics(self) -> dict[str, float]:
         """For the heartbeat."""
         return {"pages": float(len(self.pages)), "frames": float(self.frames), "dropped": float(self.dropped)}
 

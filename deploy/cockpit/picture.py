@@ -258,7 +258,7 @@ class Picture:
             "tick": action.answers_tick,
             "meta": action.meta_action,
             "source": action.source,
-            "closed": [[c.action, str(c.rule), c.vehicle] for c in action.closed if c.action < POLICY_ACTIONS],
+            "closed": [[c.action, str(c.reason), c.vehicle] for c in action.closed if c.action < POLICY_ACTIONS],
             "p": [round(p, 3) for p in action.probabilities],
             "why": action.why,
             "goal": action.speed_goal_mps,
@@ -288,7 +288,7 @@ class Picture:
             "ttl": directive.ttl_s,
             "left": round(max(left_s, 0.0), 1),
             "state": plan.ended or ("delayed" if held else "active"),
-            "rule": str(held.rule) if held else "",
+            "reason": str(held.reason) if held else "",
             "vehicle": held.vehicle if held else -1,
             "waited": round((seen.tick - plan.since_tick) / seen.hz, 1) if plan.since_tick >= 0 else 0.0,
             "detail": plan.detail,
@@ -302,7 +302,7 @@ class Picture:
                 "state": "gone" if now_ns - status.stamp_ns > SILENT_NS else status.state,
                 "pid": status.pid,
                 "age": round((now_ns - status.stamp_ns) / NS, 2),
-                "figures": {k: round(v, 3) for k, v in list(status.figures.items())[:32] if math.isfinite(v)},
+                "metrics": {k: round(v, 3) for k, v in list(status.metrics.items())[:32] if math.isfinite(v)},
                 "detail": status.detail[:TEXT_CHARS],
             }
             for status in (self._nodes[name] for name in sorted(self._nodes))

@@ -72,8 +72,8 @@ class BusSource:
             messages += ring.take()
         for message in messages:
             if isinstance(message, Status) and message.node == "sim":
-                self._obeys = "paused" in message.figures
-                self._paused = bool(message.figures.get("paused"))
+                self._obeys = "paused" in message.metrics
+                self._paused = bool(message.metrics.get("paused"))
         return messages
 
     def now_ns(self) -> int:

@@ -102,15 +102,15 @@ def _directive(fleet: Fleet, scene: int) -> Directive:
 
 
 def _action(driver: Driver, scene: int, tick: int) -> Action:
-    rule, vehicle = driver.fleet.rule[scene], driver.fleet.vehicle[scene]
-    closed = [a for a in range(POLICY_ACTIONS) if rule[a] != OPEN]
+    reasons, vehicle = driver.fleet.rule[scene], driver.fleet.vehicle[scene]
+    closed = [a for a in range(POLICY_ACTIONS) if reasons[a] != OPEN]
     return Action(
         epoch=0,
         stamp_ns=0,
         answers_tick=tick,
         meta_action=int(driver.meta[scene]),
         source=SOURCES[driver.by[scene]],  # type: ignore[arg-type]
-        closed=tuple(Closure(action=a, rule=_REASONS[rule[a] - 1], vehicle=int(vehicle[a])) for a in closed),
+        closed=tuple(Closure(action=a, reason=_REASONS[reasons[a] - 1], vehicle=int(vehicle[a])) for a in closed),
     )
 
 

@@ -60,6 +60,6 @@ def worded(event: Event) -> str:
     """An event in a few words."""
     if event.kind in (EventKind.WORLD, EventKind.FAULT):
         return event.detail
-    why = f": {event.rule}" if event.rule and event.kind in ("delayed", "overridden") else ""
+    why = f": {event.reason}" if event.reason and event.kind in ("delayed", "overridden") else ""
     car = f" (car {event.vehicle})" if why and event.vehicle >= 0 else ""
     return f"{str(event.kind).replace('_', ' ')}{why}{car}"

@@ -142,10 +142,10 @@ def _drive_language(
     if directive != "hurry" or wish_mps is not None:
         raise ValueError(f"{agent} knows no directive but hurry, and no other speed to wish for")
     with running_model() as ask:
-        results, figures = drive_dilu(scenario, seeds, paused=agent == "dilu-paused", ask=ask, bank=memory())
-    return results, figures.summary()
+        results, metrics = drive_dilu(scenario, seeds, paused=agent == "dilu-paused", ask=ask, bank=memory())
+    return results, metrics.summary()
 
 
-def _numbers(figures: dict[str, float]) -> dict[str, float | None]:
+def _numbers(metrics: dict[str, float]) -> dict[str, float | None]:
     """With None for what is not a number, as JSON has it."""
-    return {name: None if math.isnan(value) else value for name, value in figures.items()}
+    return {name: None if math.isnan(value) else value for name, value in metrics.items()}

@@ -12,7 +12,7 @@ from sim_node.env import ScenarioEnv
 def safety_mask(env: ScenarioEnv, meta: int) -> int:
     """Caps the speed; the action itself if the mask leaves it open, else the mildest open one, else EMERGENCY_BRAKE."""
     ego, lanes = env.ego, lane_table(env.published_lanes())
-    rule, vehicle = [0] * 6, [-1] * 6
+    reasons, vehicle = [0] * 6, [-1] * 6
     ego.speed_cap = close_actions(
         env.seen().tolist(),
         lanes,
@@ -21,8 +21,8 @@ def safety_mask(env: ScenarioEnv, meta: int) -> int:
         ego.previous_lane,
         env.scenario.sight_m,
         [0] * (3 * len(lanes)),
-        rule,
+        reasons,
         vehicle,
         PRESETS["sim"],
     )
-    return int(replaced(np.array([meta]), np.array([rule]) == OPEN)[0])
+    return int(replaced(np.array([meta]), np.array([reasons]) == OPEN)[0])

@@ -67,7 +67,7 @@ Ask = Callable[[Chat], Said]
 
 
 @dataclass
-class Figures:
+class Metrics:
     """What the model did, over several episodes."""
 
     latencies_s: list[float] = field(default_factory=list)
@@ -196,11 +196,11 @@ class LanguageDriver:
 
     def __init__(self, bank: Bank, ask: Ask, clock: Clock) -> None:
         self._bank, self._ask, self._clock = bank, ask, clock
-        self.figures = Figures()
+        self.metrics = Metrics()
 
     def decide(self, observation: Observation) -> tuple[MetaAction, float]:
         """The action and how long it took to find [s]; CRUISE (their IDLE) where the answer names none."""
-        figures, began_ns = self.figures, self._clock.now_ns()
+        metrics, began_ns = self.metrics, self._clock.now_ns()
         scene = describe(observation)
         try:
             said = self._ask(build_prompt(scene, self._bank.nearest(scene)))
@@ -208,19 +208,19 @@ class LanguageDriver:
             said = Said("")
         took_s = (self._clock.now_ns() - began_ns) / NS
         action = parse(said.text)
-        figures.latencies_s.append(took_s)
-        figures.prompt_tokens += said.prompt_tokens
-        figures.answer_tokens += said.answer_tokens
+        metrics.latencies_s.append(took_s)
+        metrics.prompt_tokens += said.prompt_tokens
+        metrics.answer_tokens += said.answer_tokens
         if action is None:
-            figures.unparseable += 1
+            metrics.unparseable += 1
             return MetaAction.CRUISE, took_s
-        figures.chosen[action.name.lower()] += 1
+        metrics.chosen[action.name.lower()] += 1
         return action, took_s
 
 
 def drive_dilu(
     scenario: Scenario, seeds: Sequence[int], *, paused: bool, ask: Ask, bank: Bank, clock: Clock | None = None
-) -> tuple[list[EpisodeResult], Figures]:
+) -> tuple[list[EpisodeResult], Metrics]:
     """One episode per seed, with its traffic and a passenger in a hurry; and what the model did in them.
 
     paused: the world stands still while the model thinks. Else a decision waits until the world has run for as long,
@@ -233,7 +233,7 @@ def drive_dilu(
     for seed in seeds:
         world.load(0, seed)
         results.append(_episode(world, driver, paused))
-    return results, driver.figures
+    return results, driver.metrics
 
 
 def _episode(world: World, driver: LanguageDriver, paused: bool) -> EpisodeResult:

@@ -137,7 +137,7 @@ def draw(episode: Episode, told_s: float, path: Path) -> None:
         marks = [(told_s, "told to overtake", "black")]
         for event in episode.events:
             if event.kind == EventKind.CARRIED_OUT:
-                marks.append((event.tick / HZ, f"delayed {event.duration_s:.0f} s: {event.rule}", "tab:red"))
+                marks.append((event.tick / HZ, f"delayed {event.duration_s:.0f} s: {event.reason}", "tab:red"))
             elif event.kind == EventKind.FULFILLED:
                 marks.append((event.tick / HZ, "fulfilled", "tab:green"))
         for row, (at_s, text, colour) in enumerate(marks):

@@ -59,7 +59,7 @@ def main() -> None:
         for topic in (EVENT, STATUS):
             bus.announce(topic)
         recorder = Recorder(file, describe(config.about, config.policy), max_bytes)
-        with Heartbeat(bus, NAME, lambda: dict(recorder.figures), stuck_s=60.0) as heart:
+        with Heartbeat(bus, NAME, lambda: dict(recorder.metrics), stuck_s=60.0) as heart:
             log(NAME, "ready", path=config.path, scheduling=scheduling)
             try:
                 record(recorder, arrivals, Path(config.folder) if config.folder else None, max_bytes)

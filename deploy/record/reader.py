@@ -10,7 +10,8 @@ import msgspec
 
 from deploy.record.container import Contents, NotARecordingError, messages_of, scan
 from deploy.record.encoding import from_json
-from schemas.wire.messages import Message
+from schemas.wire.codec import is_readable
+from schemas.wire.messages import SCHEMA_VERSION, Message
 from schemas.wire.topics import TOPICS, Topic
 
 METADATA = "fastslow"
@@ -79,9 +80,19 @@ class Recording:
 
 
 def open_recording(path: Path) -> Recording:
-    """The recording in `path`, whole or cut off. Raises `OSError`, or `NotARecordingError` for another kind of file."""
+    """The recording in `path`, whole or cut off.
+
+    Raises `OSError`, or `NotARecordingError` for another kind of file, or messages of another major version.
+    """
     with path.open("rb") as file:
-        return Recording(path, scan(file))
+        recording = Recording(path, scan(file))
+    theirs = recording.metadata.get("protocol", SCHEMA_VERSION)
+    if not is_readable(theirs):
+        by = recording.metadata.get("revision") or recording.metadata.get("fastslow", "")
+        raise NotARecordingError(
+            f"its protocol is {theirs}, ours {SCHEMA_VERSION}: use the fastslow that recorded it ({by})"
+        )
+    return recording
 
 
 __all__ = ["METADATA", "NotARecordingError", "Recording", "open_recording"]

@@ -54,20 +54,20 @@ class Recorder:
         self._epoch = 0
         self._cut_ns = 0
         self._log_ns = 0
-        self.figures = {"messages": 0.0, "refused": 0.0, "mb": 0.0, "cpu_s": 0.0}
+        self.metrics = {"messages": 0.0, "refused": 0.0, "mb": 0.0, "cpu_s": 0.0}
 
     def arrived(self, arrival: Arrival, now_ns: int) -> None:
         """Keep what came, and was seen by us at `now_ns` of CLOCK_MONOTONIC."""
         message = self._message(arrival.topic, arrival.payload, now_ns)
         if message is None:
-            self.figures["refused"] += 1
+            self.metrics["refused"] += 1
         else:
             self._keep(arrival.topic, message, self._log_time(arrival.routed_ns, message.stamp_ns, now_ns))
         if now_ns - self._cut_ns >= CHUNK_NS:
             self._cut_ns = now_ns
             self._file.cut()
-            self.figures["mb"] = self._file.size / 1e6
-            self.figures["cpu_s"] = time.process_time()
+            self.metrics["mb"] = self._file.size / 1e6
+            self.metrics["cpu_s"] = time.process_time()
             if self._file.size > self._max_bytes:
                 raise FullError(f"it has reached {self._max_bytes / 1e6:.0f} MB")
 
@@ -83,7 +83,7 @@ class Recorder:
     def _keep(self, topic: str, message: Message, log_time: int) -> None:
         sent = min(max(message.stamp_ns + self._offset_ns, 0), _LATEST_NS)
         self._file.add(self._channels[topic], log_time, sent, to_json(message))
-        self.figures["messages"] += 1
+        self.metrics["messages"] += 1
         if isinstance(message, Observation):
             self._epoch = message.epoch
             for drawn_topic, drawn in self._scene.draw(message, sent):

@@ -121,12 +121,12 @@ def status(*, port: int, as_json: bool) -> int:
         return UNAVAILABLE
     newest = [nodes[name] for name in sorted(nodes)]
     if as_json:
-        fields = ("node", "pid", "state", "epoch", "figures", "detail")
+        fields = ("node", "pid", "state", "epoch", "metrics", "detail")
         rows = [{name: getattr(heartbeat, name) for name in fields} for heartbeat in newest]
         print(msgspec.json.encode({"schema": "fastslow.status/1", "nodes": rows}).decode())
         return OK
     for heartbeat in newest:
-        figures = "  ".join(f"{name} {_short(value)}" for name, value in heartbeat.figures.items())
+        metrics = "  ".join(f"{name} {_short(value)}" for name, value in heartbeat.metrics.items())
         detail = f"  {heartbeat.detail}" if heartbeat.detail else ""
-        print(f"{heartbeat.node:<6} {heartbeat.state:<9} pid {heartbeat.pid:<8}{figures}{detail}")
+        print(f"{heartbeat.node:<6} {heartbeat.state:<9} pid {heartbeat.pid:<8}{metrics}{detail}")
     return OK

@@ -19,7 +19,7 @@ class Live:
         self._observation: Observation | None = None
         self._action: Action | None = None
         self._directive: Directive | None = None
-        self._figures: dict[str, float] = {}
+        self._metrics: dict[str, float] = {}
 
     def observation(self, observation: Observation) -> None:
         self._observation = observation
@@ -32,7 +32,7 @@ class Live:
 
     def status(self, status: Status) -> None:
         if status.node == "sim":
-            self._figures = status.figures
+            self._metrics = status.metrics
 
     def reply(self, reply: Reply) -> str:
         """The line for a reply."""
@@ -48,8 +48,8 @@ class Live:
         if event.kind in _BY_REPLY and event.command_id is not None:
             return None
         parts = [f"tick {event.tick}"]
-        if event.rule:
-            parts.append(event.rule)
+        if event.reason:
+            parts.append(event.reason)
         if event.vehicle >= 0:
             parts.append(f"vehicle {event.vehicle}")
         if event.duration_s:
@@ -66,15 +66,15 @@ class Live:
         seen = self._observation
         if seen is None:
             return f"starting{f': waiting for {waiting_for}' if waiting_for else ''}"
-        figures = self._figures
+        metrics = self._metrics
         return " | ".join(
             (
                 f"tick {seen.tick:>5} {seen.scenario}",
-                f"{figures.get('speed_mps', 0.0):4.1f} m/s lane {figures.get('lane', 0):.0f}",
+                f"{metrics.get('speed_mps', 0.0):4.1f} m/s lane {metrics.get('lane', 0):.0f}",
                 self._intent(now_ns, seen.epoch),
                 f"by {self._action.source if self._action else 'nobody'}",
-                f"age {figures.get('age_p50_us', 0.0) / 1e3:.1f}/{figures.get('age_p99_us', 0.0) / 1e3:.1f} ms",
-                f"missed {figures.get('missed', 0):.0f}",
+                f"age {metrics.get('age_p50_us', 0.0) / 1e3:.1f}/{metrics.get('age_p99_us', 0.0) / 1e3:.1f} ms",
+                f"missed {metrics.get('missed', 0):.0f}",
             )
         )
 
@@ -95,7 +95,7 @@ class Live:
 
 def happened(directives: Mapping[str, int], delayed_by: Mapping[str, int]) -> str:
     """What became of a run's directives, from the summary's counts: "2 delayed (oncoming traffic 2), ..."."""
-    by = f" ({', '.join(f'{rule} {count}' for rule, count in delayed_by.items())})" if delayed_by else ""
+    by = f" ({', '.join(f'{reason} {count}' for reason, count in delayed_by.items())})" if delayed_by else ""
     return ", ".join(
         f"{count} {kind.replace('_', ' ')}{by if kind == EventKind.DELAYED else ''}"
         for kind, count in directives.items()

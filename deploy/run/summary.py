@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from schemas.runtime.clock import NS
 from schemas.wire.messages import Command, Event, EventKind, Observation, Reply, Status
 
-SCHEMA = "fastslow.run/2"
+SCHEMA = "fastslow.run/3"
 _COUNTED = ("ticks", "answered", "missed", "collisions", "failsafes", "episodes", "skipped")
 _HAPPENS = (EventKind.DELAYED, EventKind.OVERRIDDEN, EventKind.CARRIED_OUT, EventKind.FULFILLED, EventKind.EXPIRED)
 """To a directive; each event is counted."""
@@ -36,8 +36,8 @@ class Summary:
 
     def __init__(self, scenario: str, seed: int, start_ns: int) -> None:
         self._scenario, self._seed, self._start_ns = scenario, seed, start_ns
-        self._figures: dict[int, dict[str, float]] = {}
-        """The newest figures of each simulator process: a restarted one counts from 0 again."""
+        self._metrics: dict[int, dict[str, float]] = {}
+        """The newest metrics of each simulator process: a restarted one counts from 0 again."""
         self._said: dict[int, Said] = {}
         self._happened: Counter[str] = Counter()
         self._delayed_by: Counter[str] = Counter()
@@ -68,13 +68,13 @@ class Summary:
     def event(self, event: Event) -> None:
         self._happened[event.kind] += 1
         if event.kind == EventKind.DELAYED:
-            self._delayed_by[event.rule or ""] += 1
+            self._delayed_by[event.reason or ""] += 1
         if len(self._events) < KEPT:
             self._events.append(
                 {
                     "at_s": self._at(event.stamp_ns),
                     "kind": event.kind,
-                    "rule": event.rule or "",
+                    "reason": event.reason or "",
                     "vehicle": event.vehicle,
                     "duration_s": round(event.duration_s, 3),
                     "detail": event.detail,
@@ -92,7 +92,7 @@ class Summary:
 
     def status(self, status: Status) -> None:
         if status.node == "sim":
-            self._figures[status.pid] = status.figures
+            self._metrics[status.pid] = status.metrics
 
     def _of(self, command_id: int, text: str) -> Said:
         return self._said.setdefault(command_id, Said(text))
@@ -102,8 +102,8 @@ class Summary:
 
     def result(self, restarts: dict[str, int], now_ns: int) -> dict[str, object]:
         """The summary as plain data, for JSON."""
-        total = {k: int(sum(figures.get(k, 0) for figures in self._figures.values())) for k in _COUNTED}
-        newest = next(reversed(self._figures.values()), {})
+        total = {k: int(sum(metrics.get(k, 0) for metrics in self._metrics.values())) for k in _COUNTED}
+        newest = next(reversed(self._metrics.values()), {})
         return {
             "schema": SCHEMA,
             "scenario": self._scenario,

@@ -205,7 +205,7 @@ class _Run:
     def _show_page(self, status: Status) -> None:
         """Tell where the cockpit is, once it is there."""
         if status.node == "cockpit" and not self._page:
-            self._page = f"http://{TCP_HOST}:{status.figures.get('port', 0):.0f}/"
+            self._page = f"http://{TCP_HOST}:{status.metrics.get('port', 0):.0f}/"
             self._notice(f"the car is shown at {self._page}")
 
     def _speak_for_the_probed(self) -> None:

@@ -9,7 +9,7 @@ others are taken to do. They hold for traffic that does so, not for a real road.
 """
 
 from fast_node.mask.closing import close_actions
-from fast_node.mask.vocabulary import NOT_WISHED, OPEN, PRESETS, REAR_GAP, RULES, VERSION, Preset
+from fast_node.mask.vocabulary import NOT_WISHED, OPEN, PRESETS, REAR_GAP, REASONS, VERSION, Preset
 from schemas.driving.road import lane_table
 
-__all__ = ["NOT_WISHED", "OPEN", "PRESETS", "REAR_GAP", "RULES", "VERSION", "Preset", "close_actions", "lane_table"]
+__all__ = ["NOT_WISHED", "OPEN", "PRESETS", "REAR_GAP", "REASONS", "VERSION", "Preset", "close_actions", "lane_table"]

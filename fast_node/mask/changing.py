@@ -32,22 +32,22 @@ from schemas.driving.measures import rss_same_direction_m
 from schemas.driving.road import DOUBT_VX, DOUBT_X, LANE, LANE_WAY, VX, doubt, gap_between
 
 
-def change_lanes(s: Situation, rule: Any, vehicle: Any) -> None:
+def change_lanes(s: Situation, reasons: Any, vehicle: Any) -> None:
     """LEFT and RIGHT: one change at a time, which the opposite direction gives up; into a lane of our direction as
     `entering` has it, into an oncoming one as `passing` has it."""
     for action in (LEFT, RIGHT):
         aim = s.lane - 1 if action == LEFT else s.lane + 1
         if s.previous >= 0 and aim != s.previous:
-            rule[action] = CHANGING
+            reasons[action] = CHANGING
         elif aim < 0 or aim >= len(s.lanes):
-            rule[action] = NO_LANE
+            reasons[action] = NO_LANE
         elif s.lanes[aim][LANE_WAY] > 0:
-            rule[action], vehicle[action] = entry(s, aim)
+            reasons[action], vehicle[action] = entry(s, aim)
         else:
-            rule[action], vehicle[action] = start_pass(s, aim)
+            reasons[action], vehicle[action] = start_pass(s, aim)
 
 
-def settle_change(s: Situation, rule: Any, vehicle: Any) -> None:
+def settle_change(s: Situation, reasons: Any, vehicle: Any) -> None:
     """A change that a car behind has made unsafe is given up while the ego is still more in the lane that it leaves.
     One that cannot be given up is finished, and not at a crawl: the car behind expects the ego to drive on."""
     behind = s.near[3 * s.lane + BEHIND]
@@ -55,13 +55,13 @@ def settle_change(s: Situation, rule: Any, vehicle: Any) -> None:
         return
     p, ego, other = s.preset, s.rows[0], s.rows[behind]
     gap, fastest = gap_between(other, ego) - doubt(other, DOUBT_X), other[VX] + doubt(other, DOUBT_VX)
-    if rule[back_action(s)] == OPEN:
+    if reasons[back_action(s)] == OPEN:
         need = 1.0 + rss_same_direction_m(fastest, ego[VX], p.reaction_s, 0.0, p.follower_brake, p.shown_brake)
         if int(ego[LANE]) == s.previous and gap < need:
             for a in SPEEDS:
-                close(rule, vehicle, a, GIVE_UP_CHANGE, behind)
+                close(reasons, vehicle, a, GIVE_UP_CHANGE, behind)
     elif ego[VX] < fastest and gap < follower_gap(fastest, ego[VX], True, p):
-        if rule[SPEED_UP] == OPEN and s.target_speed < CREEP_MPS:
-            close(rule, vehicle, CRUISE, REAR_GAP, behind)
-        if rule[CRUISE] == OPEN or rule[SPEED_UP] == OPEN:
-            close(rule, vehicle, SLOW_DOWN, REAR_GAP, behind)
+        if reasons[SPEED_UP] == OPEN and s.target_speed < CREEP_MPS:
+            close(reasons, vehicle, CRUISE, REAR_GAP, behind)
+        if reasons[CRUISE] == OPEN or reasons[SPEED_UP] == OPEN:
+            close(reasons, vehicle, SLOW_DOWN, REAR_GAP, behind)

@@ -22,7 +22,7 @@ def close_actions(
     previous_lane: int,
     sight: float,
     near: Any,
-    rule: Any,
+    reasons: Any,
     vehicle: Any,
     p: Preset,
 ) -> float:
@@ -30,24 +30,24 @@ def close_actions(
     highest speed that the cars ahead and the lane's end admit now, whatever the action (inf: they do not matter).
 
     rows: (V, 9) as `ROW_COLUMNS`, ego first, id < 0 for an absent vehicle; lanes: (L, 8) as `lane_table`; sight [m];
-    near: (3 L,) output of `survey`; rule, vehicle: (6,) outputs. EMERGENCY_BRAKE is always open. Vehicle -1 beside a
+    near: (3 L,) output of `survey`; reasons, vehicle: (6,) outputs. EMERGENCY_BRAKE is always open. Vehicle -1 beside a
     reason: none that is seen, but the road itself, the change under way, or a car assumed beyond sight.
     """
-    for a in range(len(rule)):
-        rule[a], vehicle[a] = OPEN, -1
+    for a in range(len(reasons)):
+        reasons[a], vehicle[a] = OPEN, -1
     road_end = survey(rows, lanes, near)
     s = Situation(rows, lanes, near, target_speed, target_lane, previous_lane, sight, road_end, p)
-    change_lanes(s, rule, vehicle)
-    ceiling, lead = keep_gaps(s, rule, vehicle)
+    change_lanes(s, reasons, vehicle)
+    ceiling, lead = keep_gaps(s, reasons, vehicle)
     cap = min(ceiling, speed_before_end(s))
     if cap < ceiling:
-        keep_below(s, cap, LANE_ENDS, -1, rule, vehicle)
+        keep_below(s, cap, LANE_ENDS, -1, reasons, vehicle)
     else:
-        keep_below(s, cap, SPEED_FOR_GAP, lead, rule, vehicle)
-    stop_before_end(s, rule, vehicle)
-    settle_change(s, rule, vehicle)
-    settle_pass(s, rule, vehicle)
+        keep_below(s, cap, SPEED_FOR_GAP, lead, reasons, vehicle)
+    stop_before_end(s, reasons, vehicle)
+    settle_change(s, reasons, vehicle)
+    settle_pass(s, reasons, vehicle)
     for a in range(POLICY_ACTIONS):  # from row indices to ids
         if vehicle[a] >= 0:
             vehicle[a] = int(rows[int(vehicle[a])][ID])
-    return slow_firmly(s, cap, rule)
+    return slow_firmly(s, cap, reasons)

@@ -89,7 +89,7 @@ def side_gap(ego: Any, row: Any, p: Preset) -> float:
     )
 
 
-def keep_gaps(s: Situation, rule: Any, vehicle: Any) -> tuple[float, int]:
+def keep_gaps(s: Situation, reasons: Any, vehicle: Any) -> tuple[float, int]:
     """Close what the cars ahead make unsafe at once; return the highest speed [m/s] that they admit (inf: any), and the
     row of the car that it is for (-1: none)."""
     p, ego = s.preset, s.rows[0]
@@ -115,13 +115,13 @@ def keep_gaps(s: Situation, rule: Any, vehicle: Any) -> tuple[float, int]:
         if (not too_near and limit >= ceiling) or (leaving and aside_m(ego, row, s.lanes) >= side_gap(ego, row, p)):
             continue
         if too_near:
-            keep_clear(s, i, leaving, rule, vehicle)
+            keep_clear(s, i, leaving, reasons, vehicle)
         if limit < ceiling:
             ceiling, slower = limit, i
     return ceiling, slower
 
 
-def keep_clear(s: Situation, i: int, leaving: bool, rule: Any, vehicle: Any) -> None:
+def keep_clear(s: Situation, i: int, leaving: bool, reasons: Any, vehicle: Any) -> None:
     """Close what leads nearer to the car of row `i`, which is too near along the road, if it is so sideways, too.
 
     leaving: it is only in the way as long as the ego has not left the lane.
@@ -135,19 +135,19 @@ def keep_clear(s: Situation, i: int, leaving: bool, rule: Any, vehicle: Any) -> 
     back, apart = back_action(s), aside > p.sway_m and s.previous >= 0 and int(ego[LANE]) == s.previous
     for a in range(POLICY_ACTIONS):
         if a != SLOW_DOWN and not (a >= LEFT and (leaving or apart) and not (leaving and a == back)):
-            close(rule, vehicle, a, LEAD, i)
+            close(reasons, vehicle, a, LEAD, i)
     if row[VX] <= ego[VX] or enters:  # no emergency brake for a car that has come in and is pulling away
-        close_again(rule, vehicle, SLOW_DOWN, LEAD, i)
+        close_again(reasons, vehicle, SLOW_DOWN, LEAD, i)
 
 
-def keep_below(s: Situation, cap: float, reason: int, who: int, rule: Any, vehicle: Any) -> None:
+def keep_below(s: Situation, cap: float, reason: int, who: int, reasons: Any, vehicle: Any) -> None:
     """Close raising a set-point that is at the speed `cap` [m/s] already, for `reason` and row `who`. The cap itself
     holds whatever the set-point is."""
-    if rule[SPEED_UP] == OPEN and s.target_speed + SPEED_STEP_MPS > cap:
-        rule[SPEED_UP], vehicle[SPEED_UP] = reason, who
+    if reasons[SPEED_UP] == OPEN and s.target_speed + SPEED_STEP_MPS > cap:
+        reasons[SPEED_UP], vehicle[SPEED_UP] = reason, who
 
 
-def slow_firmly(s: Situation, cap: float, rule: Any) -> float:
+def slow_firmly(s: Situation, cap: float, reasons: Any) -> float:
     """The speed cap [m/s], lower where nothing but slowing down is left: a step of the set-point is too little."""
-    only_slower = rule[SLOW_DOWN] == OPEN and rule[CRUISE] != OPEN and rule[SPEED_UP] != OPEN
+    only_slower = reasons[SLOW_DOWN] == OPEN and reasons[CRUISE] != OPEN and reasons[SPEED_UP] != OPEN
     return min(cap, max(s.rows[0][VX] - FIRM_MPS, 0.0)) if only_slower else cap

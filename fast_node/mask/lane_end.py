@@ -33,7 +33,7 @@ def speed_before(lanes: Any, lane: int, x: float) -> float:
     return math.sqrt(2.0 * END_BRAKE * max(lanes[lane][LANE_END] - x - STOP_M, 0.0))
 
 
-def stop_before_end(s: Situation, rule: Any, vehicle: Any) -> None:
+def stop_before_end(s: Situation, reasons: Any, vehicle: Any) -> None:
     """Close everything but a change and the emergency brake where the lane's end is as near as the ego needs to stop,
     and the way back into a lane that ends where there is no room to stop in it."""
     p, ego = s.preset, s.rows[0]
@@ -47,8 +47,8 @@ def stop_before_end(s: Situation, rule: Any, vehicle: Any) -> None:
         late = left > 0.0 and room < max(v * (OUT_S + OUT_S_PER_M * left), OUT_M_PER_M * left)
         must_stop = must_stop or (late and stop <= room < stop + v / HZ + 1.0)
         back = back_action(s)
-        if rule[back] == OPEN and room < stop + v:
-            rule[back] = LANE_ENDS
+        if reasons[back] == OPEN and room < stop + v:
+            reasons[back] = LANE_ENDS
     if must_stop:
         for a in SPEEDS:
-            close(rule, vehicle, a, LANE_ENDS, -1)
+            close(reasons, vehicle, a, LANE_ENDS, -1)

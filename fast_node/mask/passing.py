@@ -135,7 +135,7 @@ def start_pass(s: Situation, aim: int) -> tuple[int, int]:
     return room(s, aim)  # who stands there, or passes the ego, does not face it
 
 
-def settle_pass(s: Situation, rule: Any, vehicle: Any) -> None:
+def settle_pass(s: Situation, reasons: Any, vehicle: Any) -> None:
     """In the oncoming lane: finish the pass while that is possible, otherwise drop back behind the lead, and in either
     case leave the lane, or stop, before an oncoming car is met."""
     if s.lanes[s.lane][LANE_WAY] > 0:
@@ -143,33 +143,33 @@ def settle_pass(s: Situation, rule: Any, vehicle: Any) -> None:
     ego, home, facing = s.rows[0], s.lane + 1, s.near[3 * s.lane + FACING]
     state, who = passing(s, home, s.lane, 0.0)
     if state in (ONCOMING, NO_RETURN):
-        _finish_or_give_up(s, home, who, rule, vehicle)
+        _finish_or_give_up(s, home, who, reasons, vehicle)
     if facing < 0:
         return
     gap, other = nearest_facing(s, facing, s.lane, 1.0)
-    if rule[RIGHT] == OPEN:
+    if reasons[RIGHT] == OPEN:
         if gap < LEAVE_S * (ego[VX] + other) + 10.0 and state != OPEN:
             for a in SPEEDS:
-                close_again(rule, vehicle, a, ONCOMING, facing)
+                close_again(reasons, vehicle, a, ONCOMING, facing)
     else:
         p = s.preset
         need = rss_opposite_m(max(ego[VX], 0.0), other, p.reaction_s, 0.0, p.follower_brake, p.ego_brake)
         if gap < need + 3.0:
             for a in range(POLICY_ACTIONS):
-                close(rule, vehicle, a, ONCOMING, facing)
+                close(reasons, vehicle, a, ONCOMING, facing)
 
 
-def _finish_or_give_up(s: Situation, home: int, who: int, rule: Any, vehicle: Any) -> None:
+def _finish_or_give_up(s: Situation, home: int, who: int, reasons: Any, vehicle: Any) -> None:
     """There is no time left to pass what is ahead: whoever is alongside it goes on, whoever is behind it falls back."""
     ego, ahead = s.rows[0], s.near[3 * home + AHEAD]
     alongside = ahead >= 0 and ego[X] + 0.5 * ego[LENGTH] > s.rows[ahead][X]
-    reason = FINISH if alongside or rule[RIGHT] == REAR_GAP else GIVE_UP
-    if rule[RIGHT] == OPEN:  # behind or ahead of the lead: leave the oncoming lane at once
+    reason = FINISH if alongside or reasons[RIGHT] == REAR_GAP else GIVE_UP
+    if reasons[RIGHT] == OPEN:  # behind or ahead of the lead: leave the oncoming lane at once
         for a in SPEEDS:
-            close_again(rule, vehicle, a, reason, who)
+            close_again(reasons, vehicle, a, reason, who)
     elif reason == GIVE_UP:
-        close_again(rule, vehicle, SPEED_UP, GIVE_UP, who)
+        close_again(reasons, vehicle, SPEED_UP, GIVE_UP, who)
         if s.target_speed > 0.5 and ego[VX] > 0.5:
-            close_again(rule, vehicle, CRUISE, GIVE_UP, who)
+            close_again(reasons, vehicle, CRUISE, GIVE_UP, who)
     else:
-        close_again(rule, vehicle, SLOW_DOWN, FINISH, who)
+        close_again(reasons, vehicle, SLOW_DOWN, FINISH, who)

@@ -14,7 +14,7 @@ SLOW_DOWN, CRUISE, SPEED_UP, LEFT, RIGHT, BRAKE = (int(a) for a in MetaAction)
 SPEEDS = (SLOW_DOWN, CRUISE, SPEED_UP)
 """The actions that stay in the lane."""
 
-RULES = ("", *Reason)
+REASONS = ("", *Reason)
 """By number: the reason that closes an action; the first closes none."""
 (
     OPEN,
@@ -32,7 +32,7 @@ RULES = ("", *Reason)
     LANE_ENDS,
     GIVE_UP_CHANGE,
     NOT_WISHED,
-) = range(len(RULES))
+) = range(len(REASONS))
 
 AHEAD, BEHIND, FACING = range(3)
 """A lane's places in what `neighbours.survey` finds: near[3 * lane + place]; FACING: oncoming, and ahead."""
@@ -129,16 +129,16 @@ class Situation(NamedTuple):
     preset: Preset
 
 
-def close(rule: Any, vehicle: Any, action: int, reason: int, who: int) -> None:
+def close(reasons: Any, vehicle: Any, action: int, reason: int, who: int) -> None:
     """Close `action` for `reason` and row `who`, unless it is closed already: the first reason stands."""
-    if rule[action] == OPEN:
-        rule[action] = reason
+    if reasons[action] == OPEN:
+        reasons[action] = reason
         vehicle[action] = who
 
 
-def close_again(rule: Any, vehicle: Any, action: int, reason: int, who: int) -> None:
+def close_again(reasons: Any, vehicle: Any, action: int, reason: int, who: int) -> None:
     """Close `action` for `reason` and row `who`, whatever has closed it before: the last reason stands."""
-    rule[action] = reason
+    reasons[action] = reason
     vehicle[action] = who
 
 

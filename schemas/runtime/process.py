@@ -108,8 +108,8 @@ class Heartbeat:
     has ended, never during a tick: it would hold the interpreter while the tick's answer arrives.
     """
 
-    def __init__(self, bus: Bus, node: str, figures: Callable[[], dict[str, float]], stuck_s: float = 1.0) -> None:
-        self._bus, self._node, self._figures, self._stuck_s = bus, node, figures, stuck_s
+    def __init__(self, bus: Bus, node: str, metrics: Callable[[], dict[str, float]], stuck_s: float = 1.0) -> None:
+        self._bus, self._node, self._metrics, self._stuck_s = bus, node, metrics, stuck_s
         self._busy_since: float | None = None
         self._stop = threading.Event()
         self._ended = threading.Event()
@@ -153,7 +153,7 @@ class Heartbeat:
                     pid=os.getpid(),
                     seq=self._seq,
                     state=self.state,  # type: ignore[arg-type]
-                    figures=self._figures(),
+                    metrics=self._metrics(),
                 ),
             )
 

@@ -19,6 +19,13 @@ _encoder = msgspec.msgpack.Encoder()
 _decoders: dict[type[Message], msgspec.msgpack.Decoder[Any]] = {}
 
 
+_UNREADABLE = (msgspec.DecodeError, UnicodeDecodeError, RecursionError, OverflowError)
+
+
+class _Header(msgspec.Struct):
+    schema: str = SCHEMA_VERSION
+
+
 class Fault(ValueError):  # noqa: N818 - a word of the contract, not a mistake of ours
     """A payload that cannot be used; `str()` says why in one line."""
 
@@ -45,13 +52,31 @@ def decode(topic: Topic[M], payload: bytes) -> M:
         decoder = _decoders[topic.type] = msgspec.msgpack.Decoder(topic.type)
     try:
         message: M = decoder.decode(payload)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, OverflowError) as error:
+    except _UNREADABLE as error:
+        _refuse_another_major(_schema_of(payload))
         raise Fault(f"not a {topic.type.__name__}: {error}") from None
-    if message.schema != SCHEMA_VERSION and message.schema.partition(".")[0] != _MAJOR:
-        raise Fault(f"schema {message.schema} is not readable here (this is {SCHEMA_VERSION})")
+    _refuse_another_major(message.schema)
     if isinstance(message, Observation):
         _check_observation(message)
     return message
+
+
+def is_readable(schema: str) -> bool:
+    """Whether messages of that version are: those of our major."""
+    return schema == SCHEMA_VERSION or schema.partition(".")[0] == _MAJOR
+
+
+def _refuse_another_major(schema: str) -> None:
+    if not is_readable(schema):
+        raise Fault(f"schema {schema} is not readable here (this is {SCHEMA_VERSION})")
+
+
+def _schema_of(payload: bytes) -> str:
+    """The version that a payload names, whatever else is in it; ours if it names none."""
+    try:
+        return msgspec.msgpack.decode(payload, type=_Header).schema
+    except _UNREADABLE:
+        return SCHEMA_VERSION
 
 
 def _check_observation(observation: Observation) -> None:
@@ -84,7 +109,7 @@ def decode_command(payload: bytes, *, fallback_id: int, epoch: int, now_ns: int)
     if payload[:1] and (payload[0] & 0xF0 == 0x80 or payload[0] in (0xDE, 0xDF)):  # a MessagePack map, never UTF-8 text
         try:
             command = msgspec.msgpack.decode(payload, type=Command)
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, OverflowError):
+        except _UNREADABLE:
             raise Fault("a command must be plain UTF-8 text") from None
     if command is None:
         try:

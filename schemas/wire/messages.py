@@ -20,7 +20,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-SCHEMA_VERSION = "2.2"
+SCHEMA_VERSION = "3.0"
 
 Manoeuvre = Literal["cruise", "follow", "overtake", "merge", "yield", "stop"]
 Style = Literal["calm", "normal", "assertive"]
@@ -142,10 +142,10 @@ class Observation(Message, frozen=True, kw_only=True, tag="observation"):
 
 
 class Closure(Struct, frozen=True, kw_only=True):
-    """Why the mask closed one action: the rule and, where there is one, the vehicle."""
+    """Why the mask closed one action: the reason and, where there is one, the vehicle."""
 
     action: int
-    rule: Reason
+    reason: Reason
     vehicle: int = -1
 
 
@@ -239,15 +239,15 @@ class EventKind(Open):
 
 
 class Event(Message, frozen=True, kw_only=True, tag="event"):
-    """Something that happened to a directive or to the world, with the rule that caused it and for how long.
+    """Something that happened to a directive or to the world, with the reason for it it and for how long.
 
-    About a directive, `rule` is the mask's; of one that has ended the last that held it up, None if none did.
+    About a directive, `reason` is the mask's; of one that has ended the last that held it up, None if none did.
     """
 
     kind: EventKind
     node: str
     tick: int
-    rule: Reason | None = None
+    reason: Reason | None = None
     vehicle: int = -1
     since_tick: int = -1
     """The tick at which the condition began; -1 when the event has no extent."""
@@ -259,13 +259,13 @@ class Event(Message, frozen=True, kw_only=True, tag="event"):
 
 
 class Status(Message, frozen=True, kw_only=True, tag="status"):
-    """A node's heartbeat, with its figures."""
+    """A node's heartbeat, with its metrics."""
 
     node: str
     pid: int
     seq: int
     state: Literal["starting", "ready", "degraded", "stopping"]
-    figures: dict[str, float] = {}
+    metrics: dict[str, float] = {}
     detail: str = ""
 
 

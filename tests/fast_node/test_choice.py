@@ -57,13 +57,13 @@ def ruled_out(
 ) -> set[int]:
     """What the intent closes of the actions `opened`. cars: the first is the lead; aim, leaves: the lanes of a change;
     left: not to be entered again yet; speed: the set-point; wish: lane, speed, headway. The ego is 5 m long."""
-    rule = [OPEN if a in opened else LEAD for a in ALL] + [OPEN]
-    before, near = list(rule), [-1] * (3 * len(lanes))
+    reasons = [OPEN if a in opened else LEAD for a in ALL] + [OPEN]
+    before, near = list(reasons), [-1] * (3 * len(lanes))
     if cars:
         near[3 * aim] = 1
-    narrow(rule, [car(500.0, ego_speed, aim, 5.0), *cars], near, lanes, speed, aim, leaves, left, *wish, cap)
-    changed = {a for a in range(6) if rule[a] != before[a]}
-    assert all(before[a] == OPEN and rule[a] == NOT_WISHED for a in changed)
+    narrow(reasons, [car(500.0, ego_speed, aim, 5.0), *cars], near, lanes, speed, aim, leaves, left, *wish, cap)
+    changed = {a for a in range(6) if reasons[a] != before[a]}
+    assert all(before[a] == OPEN and reasons[a] == NOT_WISHED for a in changed)
     return changed
 
 
@@ -249,12 +249,16 @@ def test_out_of_a_lane_that_ends_within_five_seconds_any_gap_is_worth_entering(s
 def test_what_is_not_worth_entering_is_closed_where_anything_else_is_open():
     near_ahead = [lead(5.0, 20.0, 1)]
     assert ruled_out(*near_ahead, ego_speed=20.0) == set()  # that one is in the own lane
-    rule, near = [OPEN] * 6, [-1, -1, -1, -1, -1, -1, 1, -1, -1, -1, -1, -1]
-    narrow(rule, [car(500.0, 20.0, 1, 5.0), lead(5.0, 20.0, 2)], near, HIGHWAY, 20.0, 1, -1, -1, ANY, FAST, 1.0, FAST)
-    assert {a for a in ALL if rule[a] != OPEN} == {RIGHT}
-    rule = [LEAD, LEAD, LEAD, LEAD, OPEN, OPEN]
-    narrow(rule, [car(500.0, 20.0, 1, 5.0), lead(5.0, 20.0, 2)], near, HIGHWAY, 20.0, 1, -1, -1, ANY, FAST, 1.0, FAST)
-    assert rule[RIGHT] == OPEN
+    reasons, near = [OPEN] * 6, [-1, -1, -1, -1, -1, -1, 1, -1, -1, -1, -1, -1]
+    narrow(
+        reasons, [car(500.0, 20.0, 1, 5.0), lead(5.0, 20.0, 2)], near, HIGHWAY, 20.0, 1, -1, -1, ANY, FAST, 1.0, FAST
+    )
+    assert {a for a in ALL if reasons[a] != OPEN} == {RIGHT}
+    reasons = [LEAD, LEAD, LEAD, LEAD, OPEN, OPEN]
+    narrow(
+        reasons, [car(500.0, 20.0, 1, 5.0), lead(5.0, 20.0, 2)], near, HIGHWAY, 20.0, 1, -1, -1, ANY, FAST, 1.0, FAST
+    )
+    assert reasons[RIGHT] == OPEN
 
 
 # Speeds.
@@ -281,8 +285,8 @@ def chosen(logits: tuple[float, ...], goes_on: int | None = None, **rules: int) 
     """With the actions named closed by these rules; goes_on: what the last decision asks for meanwhile, if none is
     due."""
     names = ("slow_down", "cruise", "speed_up", "left", "right", "brake")
-    rule = [rules.get(name, OPEN) for name in names]
-    return choose(logits, rule, goes_on is None, CRUISE if goes_on is None else goes_on)
+    reasons = [rules.get(name, OPEN) for name in names]
+    return choose(logits, reasons, goes_on is None, CRUISE if goes_on is None else goes_on)
 
 
 @pytest.mark.parametrize("action", ALL)

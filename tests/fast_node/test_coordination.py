@@ -234,7 +234,7 @@ def test_a_fulfilled_directive_is_reported_with_its_length_and_what_it_is_an_ans
         kind=FULFILLED,
         node="fast",
         tick=33,
-        rule=None,
+        reason=None,
         since_tick=3,
         duration_s=2.0,
         directive_id=5,

@@ -74,18 +74,18 @@ def test_even_a_failing_mask_leaves_no_observation_unanswered(node, monkeypatch)
 
 def test_an_overtake_held_back_by_oncoming_traffic_is_reported_once_with_its_rule(node):
     events = [e for t in range(5) for e in node.step(observation(t, LEAD, ONCOMING), directive(), 0)[1]]
-    assert [(e.kind, e.rule, e.vehicle, e.directive_id) for e in events] == [("delayed", "oncoming traffic", 2, 5)]
+    assert [(e.kind, e.reason, e.vehicle, e.directive_id) for e in events] == [("delayed", "oncoming traffic", 2, 5)]
 
 
 def test_a_delayed_overtake_is_reported_with_its_duration_when_it_is_carried_out():
     run = run_episode(1000, load_policy(), overtake_at(3.0), duration_s=35)
     held = [e for e in run.events if e.kind == "carried_out"]
-    assert [(e.rule, e.since_tick, e.duration_s > 1) for e in held[:1]] == [("oncoming traffic", 45, True)]
+    assert [(e.reason, e.since_tick, e.duration_s > 1) for e in held[:1]] == [("oncoming traffic", 45, True)]
 
 
 def facts(event: Event) -> tuple[str, str | None, int, float]:
-    """Kind, rule, since which tick, for how many seconds."""
-    return event.kind, event.rule, event.since_tick, event.duration_s
+    """Kind, reason, since which tick, for how many seconds."""
+    return event.kind, event.reason, event.since_tick, event.duration_s
 
 
 def drive(node: FastNode, ticks: range, told: Directive, *cars: Row, **fields: Any) -> list[Event]:

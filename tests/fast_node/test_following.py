@@ -38,13 +38,13 @@ def followed(
     for tick in range(round(180 / DT)):
         lead = car(1, 505 + gap + lead_mps * tick * DT, 1, lead_mps)
         rows, near = [ego.row(HIGHWAY), lead], [0] * (3 * len(HIGHWAY))
-        rule, _, cap = capped(rows, HIGHWAY, ego.target_speed, 1, -1, PRESETS[preset])
+        reasons, _, cap = capped(rows, HIGHWAY, ego.target_speed, 1, -1, PRESETS[preset])
         if headway is not None:
             survey(rows, HIGHWAY, near)
             cap = min(cap, comfortable_mps(rows, near, HIGHWAY, 1, ego.accel, 28.0, headway, style))
-            narrow(rule, rows, near, HIGHWAY, ego.target_speed, 1, -1, -1, 1, 28.0, headway, cap)
+            narrow(reasons, rows, near, HIGHWAY, ego.target_speed, 1, -1, -1, 1, 28.0, headway, cap)
         due = tick % DECISION_TICKS == 0
-        meta, _ = choose(liking, rule, due, goes_on)
+        meta, _ = choose(liking, reasons, due, goes_on)
         goes_on = held(meta) if due else goes_on
         accels.append(ego.accel)
         gaps.append(lead[1] - ego.x - 5.0)
@@ -104,10 +104,10 @@ def test_a_leader_that_brakes_gently_to_a_stop_is_stopped_behind_as_gently():
     ego, x, v, hardest = in_lane(1, 20.0), 540.0, 20.0, 0.0
     for _ in range(round(20 / DT)):
         rows, near = [ego.row(HIGHWAY), car(1, x, 1, v)], [0] * (3 * len(HIGHWAY))
-        rule, _, cap = capped(rows, HIGHWAY, ego.target_speed, 1)
+        reasons, _, cap = capped(rows, HIGHWAY, ego.target_speed, 1)
         survey(rows, HIGHWAY, near)
         cap = min(cap, comfortable_mps(rows, near, HIGHWAY, 1, ego.accel, 28.0, 1.5, NORMAL))
-        meta, _ = choose(PATIENT, rule, True, MetaAction.CRUISE)
+        meta, _ = choose(PATIENT, reasons, True, MetaAction.CRUISE)
         assert meta != MetaAction.EMERGENCY_BRAKE
         ego = ego.moved(meta, HIGHWAY, 28.0, cap)
         x, v = x + v * DT, max(v - 2.0 * DT, 0.0)

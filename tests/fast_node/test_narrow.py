@@ -29,14 +29,14 @@ wishes = st.tuples(
     st.sampled_from([0, 1, 2]),
 )
 def test_a_wish_narrows_what_is_safe_and_never_down_to_braking(scene, preset, wish, left, logits, due, goes_on):
-    rule, _ = judge(scene.rows, scene.lanes, scene.target_speed, scene.lane, scene.previous, PRESETS[preset])
-    wished, near = rule.copy(), [0] * (3 * len(scene.lanes))
+    reasons, _ = judge(scene.rows, scene.lanes, scene.target_speed, scene.lane, scene.previous, PRESETS[preset])
+    wished, near = reasons.copy(), [0] * (3 * len(scene.lanes))
     survey(scene.rows, scene.lanes, near)
     narrow(wished, scene.rows, near, scene.lanes, scene.target_speed, scene.lane, scene.previous, left, *wish)
     meta, _ = choose(logits, wished, due, goes_on)
-    assert wished[meta] == rule[meta] == OPEN
-    assert all(after in (before, NOT_WISHED) for before, after in zip(rule, wished, strict=True))
-    assert meta != MetaAction.EMERGENCY_BRAKE or all(r != OPEN for r in rule[:5])
+    assert wished[meta] == reasons[meta] == OPEN
+    assert all(after in (before, NOT_WISHED) for before, after in zip(reasons, wished, strict=True))
+    assert meta != MetaAction.EMERGENCY_BRAKE or all(r != OPEN for r in reasons[:5])
 
 
 def narrowed(
@@ -49,19 +49,19 @@ def narrowed(
     previous: int = -1,
     cap: float = math.inf,
 ) -> set[int]:
-    rule, near = [OPEN] * 6, [0] * 12
+    reasons, near = [OPEN] * 6, [0] * 12
     survey(rows, HIGHWAY, near)
-    narrow(rule, rows, near, HIGHWAY, target_speed, lane, previous, -1, wish_lane, wish_mps, headway_s, cap)
-    return {a for a in range(5) if rule[a] == NOT_WISHED}
+    narrow(reasons, rows, near, HIGHWAY, target_speed, lane, previous, -1, wish_lane, wish_mps, headway_s, cap)
+    return {a for a in range(5) if reasons[a] == NOT_WISHED}
 
 
 def test_giving_up_the_way_home_is_not_narrowed_down_to_braking():
     beside = [car(0, 500, 0, 0, y_m=0.0), car(11, 499, 1, 0, y_m=3.0)]
-    rule, _ = judge(beside, LANES, 0.0, 1, 0, PRESETS["cautious"])
+    reasons, _ = judge(beside, LANES, 0.0, 1, 0, PRESETS["cautious"])
     near = [0] * 6
     survey(beside, LANES, near)
-    narrow(rule, beside, near, LANES, 0.0, 1, 0, -1, -1, 0.0, 1.0, 0.0)
-    assert [a for a in range(5) if rule[a] == OPEN] == [MetaAction.LEFT]
+    narrow(reasons, beside, near, LANES, 0.0, 1, 0, -1, -1, 0.0, 1.0, 0.0)
+    assert [a for a in range(5) if reasons[a] == OPEN] == [MetaAction.LEFT]
 
 
 def test_an_open_change_to_the_wished_lane_is_all_that_is_left():

@@ -93,7 +93,7 @@ def test_whatever_state_directive_and_policy_the_node_does_what_the_mask_leaves_
         failing.instead, tick = instead, tick + passed
         seen = seen_at(tick, scene)
         action, _ = node.step(seen, directive, now_s * 10**9)
-        rule, _ = judge(
+        reasons, _ = judge(
             tracks.follow(seen, rows_of(seen).tolist(), lane_table(seen.lanes)),
             lane_table(seen.lanes),
             scene.target_speed,
@@ -101,7 +101,7 @@ def test_whatever_state_directive_and_policy_the_node_does_what_the_mask_leaves_
             scene.previous,
             PRESETS[preset],
         )
-        nothing_open = all(r != OPEN for r in rule[:5])
-        assert rule[action.meta_action] == OPEN, action
+        nothing_open = all(r != OPEN for r in reasons[:5])
+        assert reasons[action.meta_action] == OPEN, action
         assert (action.meta_action == MetaAction.EMERGENCY_BRAKE) == nothing_open, action
         assert action.source != "fallback" or instead in BROKEN, action

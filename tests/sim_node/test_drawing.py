@@ -56,11 +56,11 @@ def test_braking_shows_the_brake_lights():
 def test_the_vehicle_that_closes_an_action_is_marked():
     action = Action(
         epoch=1, stamp_ns=0, answers_tick=0, meta_action=int(MetaAction.CRUISE), source="policy",
-        closed=(Closure(action=int(MetaAction.SPEED_UP), rule=Reason.SPEED_FOR_GAP, vehicle=7),),
+        closed=(Closure(action=int(MetaAction.SPEED_UP), reason=Reason.SPEED_FOR_GAP, vehicle=7),),
     )  # fmt: skip
     by_the_road = Action(
         epoch=1, stamp_ns=0, answers_tick=0, meta_action=int(MetaAction.CRUISE), source="policy",
-        closed=(Closure(action=int(MetaAction.SPEED_UP), rule=Reason.LANE_ENDS),),
+        closed=(Closure(action=int(MetaAction.SPEED_UP), reason=Reason.LANE_ENDS),),
     )  # fmt: skip
     assert count(picture(seen(), action), RED) > count(picture(seen(), by_the_road), RED) + 100
 

@@ -78,10 +78,10 @@ def test_the_heartbeat_says_whether_the_world_stands_still_and_can_be_sent() -> 
     heartbeats = world.bus.subscribe(topics.STATUS)
     world.order("pause")
     world.ticks()
-    status = Status(epoch=1, stamp_ns=0, node="sim", pid=1, seq=1, state="ready", figures=world.loop.figures())
+    status = Status(epoch=1, stamp_ns=0, node="sim", pid=1, seq=1, state="ready", metrics=world.loop.metrics())
     world.bus.publish(topics.STATUS, status)
     [heard] = heartbeats.take()
-    assert heard.figures["paused"] == 1.0
+    assert heard.metrics["paused"] == 1.0
 
 
 def test_a_step_is_one_tick_and_then_it_stands_still() -> None:

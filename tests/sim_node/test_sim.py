@@ -365,13 +365,13 @@ def test_the_process_ticks_without_listeners_and_publishes_its_final_figures() -
     assert status.state == "stopping"
     wanted = {"tick", "epoch", "speed_mps", "lane", "ticks", "answered", "missed", "collisions", "rtt_p50_us",
               "rtt_p99_us", "age_p50_us", "age_p99_us", "skipped", "episodes", "failsafes"}  # fmt: skip
-    assert wanted <= status.figures.keys()
-    assert status.figures["ticks"] + status.figures["skipped"] == 30
-    assert status.figures["missed"] >= 28
+    assert wanted <= status.metrics.keys()
+    assert status.metrics["ticks"] + status.metrics["skipped"] == 30
+    assert status.metrics["missed"] >= 28
 
 
 def test_the_first_world_is_announced_as_every_other() -> None:
     node = fresh()
     node.announce("at the simulator's start", 5)
     event = node.take_events()[0]
-    assert (event.kind, event.epoch, event.rule, event.tick) == ("world", 7, None, 0)
+    assert (event.kind, event.epoch, event.reason, event.tick) == ("world", 7, None, 0)

@@ -113,7 +113,7 @@ def test_it_plans_again_at_most_once_in_three_seconds_and_forgets_nothing() -> N
 def test_a_plan_that_stays_the_same_is_not_said_again() -> None:
     ride = riding(LEFT, 1)
     assert ride.tell("delayed", "rear gap in lane") == []
-    assert ride.deliberation.figures["replans"] == 1
+    assert ride.deliberation.metrics["replans"] == 1
 
 
 def test_a_hurry_overtakes_once_a_slow_car_is_ahead() -> None:

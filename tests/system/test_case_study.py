@@ -126,8 +126,8 @@ class Replay:
     follower_mps: list[float] = field(default_factory=list)
 
     def what(self) -> list[tuple[str, str | None]]:
-        """Kind and rule of every event."""
-        return [(e.kind, e.rule) for _, e in self.events]
+        """Kind and reason of every event."""
+        return [(e.kind, e.reason) for _, e in self.events]
 
     def ego_mps(self, at_s: float) -> float:
         """The ego's speed."""

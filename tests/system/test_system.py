@@ -56,7 +56,7 @@ def test_a_passenger_in_a_hurry_is_taken_past_the_slow_car_as_in_the_papers_case
     assert (summary["collisions"], command["outcome"]) == (0, "fulfilled")
     assert command["heard_s"] <= command["issued_s"] <= command["fulfilled_s"]
     assert [lane["lane"] for lane in summary["lanes"] if lane["there"]] == [1, 0, 1]
-    assert any(e["rule"] == "rear gap in lane" for e in summary["events"] if e["kind"] == "delayed")
+    assert any(e["reason"] == "rear gap in lane" for e in summary["events"] if e["kind"] == "delayed")
 
 
 @pytest.mark.timeout(120)

@@ -33,7 +33,7 @@ export class Panels {
       const note = make("span", { className: "note num" });
       const label = make("span", { className: "name", textContent: name });
       const row = make("li", {}, glyph(icon), label, make("span", { className: "p" }, bar), note);
-      const show = () => { if (row.vehicle >= 0) road.highlight = { id: row.vehicle, text: row.rule }; };
+      const show = () => { if (row.vehicle >= 0) road.highlight = { id: row.vehicle, text: row.reason }; };
       const hide = () => { road.highlight = null; };
       row.addEventListener("pointerenter", show);
       row.addEventListener("focus", show);
@@ -75,19 +75,19 @@ export class Panels {
     if (!action) return;
     const now = performance.now();
     if (action.tick !== this.lastTick) { this.taken.set(action.meta, now); this.lastTick = action.tick; }
-    const closed = new Map(action.closed.map(([a, rule, vehicle]) => [a, { rule, vehicle }]));
+    const closed = new Map(action.closed.map(([a, reason, vehicle]) => [a, { reason, vehicle }]));
     const lately = (index) => now - (this.taken.get(index) ?? -1e9) < TAKEN_MS;
     const moved = SHOWN.some((index) => index !== HOLD && lately(index));
     for (const [index, { row, bar, note }] of this.rows) {
       const by = closed.get(index);
       const p = action.p[index];
-      row.rule = by?.rule ?? "";
+      row.reason = by?.reason ?? "";
       row.vehicle = by?.vehicle ?? -1;
       mark(row, "closed", by ? "" : null);
       mark(row, "taken", lately(index) && (index !== HOLD || !moved) ? "" : null);
       bar.style.transform = `scaleX(${p ?? 0})`;
       bar.parentElement.hidden = p === undefined;
-      text(note, by ? `${by.rule}${where(frame, by.vehicle)}` : p === undefined ? "open" : `${(100 * p).toFixed(0)} %`);
+      text(note, by ? `${by.reason}${where(frame, by.vehicle)}` : p === undefined ? "open" : `${(100 * p).toFixed(0)} %`);
       if (by && by.vehicle >= 0) row.tabIndex = 0; else row.removeAttribute("tabindex");
     }
     const [name, why] = SOURCES[action.source] || [action.source, ""];
@@ -117,7 +117,7 @@ export class Panels {
         make("p", { className: "reason" }),
       );
       const wait = box.querySelector(".wait");
-      const show = () => { if (wait.vehicle >= 0) this.road.highlight = { id: wait.vehicle, text: wait.rule }; };
+      const show = () => { if (wait.vehicle >= 0) this.road.highlight = { id: wait.vehicle, text: wait.reason }; };
       wait.onpointerenter = wait.onfocus = show;
       wait.onpointerleave = wait.onblur = () => { this.road.highlight = null; };
     }
@@ -136,8 +136,8 @@ export class Panels {
     const delayed = d.state === "delayed";
     wait.hidden = !delayed;
     wait.vehicle = d.vehicle;
-    wait.rule = d.rule;
-    if (delayed) text(wait, `waits ${d.waited.toFixed(0)} s: ${d.rule}${where(frame, d.vehicle)}${d.detail ? ` · ${d.detail}` : ""}`);
+    wait.reason = d.reason;
+    if (delayed) text(wait, `waits ${d.waited.toFixed(0)} s: ${d.reason}${where(frame, d.vehicle)}${d.detail ? ` · ${d.detail}` : ""}`);
     this.steps(frame, d, box);
   }
 
@@ -174,11 +174,11 @@ export class Panels {
       }
       mark(item, "state", node.state);
       text(item.querySelector("small"), node.state === "gone" ? `silent for ${node.age.toFixed(0)} s` : `${node.state} · ${(Math.max(node.age, 0) * 1000).toFixed(0)} ms`);
-      item.title = `process ${node.pid}${node.detail ? `: ${node.detail}` : ""}\n${Object.entries(node.figures).map(([k, v]) => `${k} ${v}`).join("\n")}`;
+      item.title = `process ${node.pid}${node.detail ? `: ${node.detail}` : ""}\n${Object.entries(node.metrics).map(([k, v]) => `${k} ${v}`).join("\n")}`;
     }
     const sim = nodes.find((node) => node.node === "sim");
-    if (sim && sim.figures.age_p99_us !== undefined) {
-      const f = sim.figures;
+    if (sim && sim.metrics.age_p99_us !== undefined) {
+      const f = sim.metrics;
       text($("ticks"), `age of the action ${(f.age_p50_us / 1000).toFixed(1)} / ${(f.age_p99_us / 1000).toFixed(1)} ms · missed ${f.missed ?? 0}`);
       $("ticks").title = "From what the car saw until it did what answers that: median and 99th percentile, as the simulator measures it";
     }

@@ -144,7 +144,7 @@ export class Road {
     for (const car of cars.slice(1).reverse()) this.car(c, car, null);
     this.car(c, ego, frame);
     const plan = frame.directive;
-    const marked = this.highlight ?? (plan?.state === "delayed" && plan.vehicle >= 0 ? { id: plan.vehicle, text: plan.rule } : null);
+    const marked = this.highlight ?? (plan?.state === "delayed" && plan.vehicle >= 0 ? { id: plan.vehicle, text: plan.reason } : null);
     this.labels(c, cars, marked?.id);
     if (marked) this.mark(c, cars, marked, now);
     this.overview(c, cars, left, right);
@@ -514,7 +514,7 @@ export class Road {
     ctx.globalAlpha = 1;
   }
 
-  /** A ring around the vehicle that is in the way, with the rule. */
+  /** A ring around the vehicle that is in the way, with the reason. */
   mark(c, cars, { id, text }, now) {
     const car = cars.find((v) => v.id === id);
     if (!car) return;

@@ -91,7 +91,7 @@ function wording(note) {
     case "reply": return [note.outcome, list(note.say, note.why)];
     case "directive": return ["directive", list(note.manoeuvre, note.target_lane !== undefined ? `lane ${note.target_lane}` : "", note.target_speed_mps !== undefined ? `${note.target_speed_mps.toFixed(1)} m/s` : "", note.headway_s !== undefined ? `${note.headway_s.toFixed(1)} s gap` : "", note.reasoning)];
     case "health": return [note.state, `process ${note.node}`];
-    default: return [note.what, list(note.rule, car, note.duration_s ? `for ${note.duration_s.toFixed(1)} s` : "", note.detail)];
+    default: return [note.what, list(note.reason, car, note.duration_s ? `for ${note.duration_s.toFixed(1)} s` : "", note.detail)];
   }
 }
 

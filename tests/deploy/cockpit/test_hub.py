@@ -77,7 +77,7 @@ def test_a_page_that_confirms_nothing_is_sent_nothing_more_and_its_frames_are_co
         car.drive()
         sent += car.hub.message_for(page) is not None
     assert sent == IN_FLIGHT
-    assert car.hub.figures()["dropped"] >= 100 - IN_FLIGHT - 2
+    assert car.hub.metrics()["dropped"] >= 100 - IN_FLIGHT - 2
 
 
 def test_a_frozen_page_costs_another_none_of_its_frames():

@@ -42,12 +42,12 @@ def test_the_answer_is_timed_from_the_observation_that_it_answers():
     assert picture_of(seen(), action()).frame(11 * NS)["action"]["answered_ms"] == 0.4
 
 
-CLOSED = Closure(action=3, rule=Reason.ONCOMING, vehicle=4)
+CLOSED = Closure(action=3, reason=Reason.ONCOMING, vehicle=4)
 
 
 def test_a_directive_waits_for_the_rule_that_closes_its_side_now():
     shown = picture_of(seen(), directive(), action(CLOSED)).frame(11 * NS)["directive"]
-    assert (shown["state"], shown["rule"], shown["vehicle"]) == ("delayed", "oncoming traffic", 4)
+    assert (shown["state"], shown["reason"], shown["vehicle"]) == ("delayed", "oncoming traffic", 4)
 
 
 def test_a_directive_that_is_thought_about_again_waits_on():
@@ -64,12 +64,12 @@ def test_a_directive_waits_no_longer_once_its_side_is_open_or_the_change_has_beg
 
 
 def test_a_wished_speed_waits_once_the_fast_node_has_said_so():
-    faster = Closure(action=2, rule=Reason.SPEED_FOR_GAP, vehicle=2)
+    faster = Closure(action=2, reason=Reason.SPEED_FOR_GAP, vehicle=2)
     picture = picture_of(seen(), directive(manoeuvre="cruise", target_lane=None), action(faster))
     assert picture.frame(11 * NS)["directive"]["state"] == "active"
-    for message in (event("delayed", rule=faster.rule), action(faster)):
+    for message in (event("delayed", reason=faster.reason), action(faster)):
         picture.take(message)
-    assert picture.frame(11 * NS)["directive"]["rule"] == "speed above the gap's"
+    assert picture.frame(11 * NS)["directive"]["reason"] == "speed above the gap's"
 
 
 def test_a_directive_that_has_ended_is_shown_a_little_longer_and_then_no_more():
@@ -98,7 +98,7 @@ def test_what_is_said_and_answered_is_noted_in_order():
     picture = picture_of(
         Command(epoch=0, stamp_ns=10 * NS, id=3, text="overtake"),
         Reply(epoch=1, stamp_ns=11 * NS, command_id=3, outcome="issued", text="overtake", say="Yes.", directive_id=7),
-        event("delayed", rule="oncoming traffic"),
+        event("delayed", reason="oncoming traffic"),
     )
     assert [note["kind"] for note in notes(picture)] == ["command", "reply", "event"]
     assert notes(picture)[2]["what"] == "delayed"

@@ -38,7 +38,7 @@ def test_a_drivers_actions_and_what_closes_them_are_shown_and_nobody_decides_for
     ours, _ = shown("ours", "merge", range(1000, 1001))
     shots = ours.shots[0]
     assert {shot.action.source for shot in shots if shot.action} >= {"policy", "coordination"}
-    assert any(c.rule == "no lane there" for shot in shots if shot.action for c in shot.action.closed)
+    assert any(c.reason == "no lane there" for shot in shots if shot.action for c in shot.action.closed)
     idm, _ = shown("idm", "merge", range(1000, 1001))
     assert all(shot.action is None for shot in idm.shots[0])
 

@@ -98,5 +98,5 @@ def test_a_drive_without_a_picture_is_an_error(tmp_path):
 
 
 def test_an_event_is_told_with_its_reason_and_vehicle():
-    event = Event(epoch=1, stamp_ns=0, kind=EventKind.DELAYED, node="fast", tick=3, rule=Reason.ONCOMING, vehicle=4)
+    event = Event(epoch=1, stamp_ns=0, kind=EventKind.DELAYED, node="fast", tick=3, reason=Reason.ONCOMING, vehicle=4)
     assert worded(event) == "delayed: oncoming traffic (car 4)"

@@ -63,7 +63,7 @@ def plain_json(data: bytes) -> dict[str, Any]:
 
 
 def exactly(message: m.Message) -> str:
-    """Every number by its shortest exact name, the keys of figures in order."""
+    """Every number by its shortest exact name, the keys of metrics in order."""
     return json.dumps(msgspec.to_builtins(message), sort_keys=True)
 
 
@@ -78,9 +78,9 @@ def test_every_message_comes_back_bit_for_bit(topic, data):
 
 
 def test_infinity_is_left_out_and_named():
-    status = m.Status(epoch=0, stamp_ns=0, node="sim", pid=1, seq=1, state="ready", figures={"a/b": math.inf, "c": 1.5})
+    status = m.Status(epoch=0, stamp_ns=0, node="sim", pid=1, seq=1, state="ready", metrics={"a/b": math.inf, "c": 1.5})
     fields = json.loads(to_json(status))
-    assert (fields["figures"], fields["nonfinite"]) == ({"c": 1.5}, {"/figures/a~1b": "Infinity"})
+    assert (fields["metrics"], fields["nonfinite"]) == ({"c": 1.5}, {"/metrics/a~1b": "Infinity"})
 
 
 @ANY_TOPIC

@@ -124,6 +124,15 @@ def test_a_recording_that_was_cut_off_gets_its_summary(tmp_path):
     assert open_recording(path).finished
 
 
+def test_a_recording_of_an_older_protocol_is_refused_with_what_can_read_it(tmp_path):
+    file = McapFile(tmp_path / "a.mcap")
+    file.add_metadata(METADATA, {"protocol": "2.2", "revision": "12716e2"})
+    file.close()
+    told = fastslow("replay", "a.mcap", "--check", folder=tmp_path)
+    assert (told.returncode, told.stderr.count("\n")) == (78, 1)
+    assert "its protocol is 2.2, ours 3.0: use the fastslow that recorded it (12716e2)" in told.stderr
+
+
 @pytest.mark.parametrize("arguments", [("--check",), ("--policy", "rule")])
 def test_what_is_no_recording_is_told_in_one_line(tmp_path, arguments):
     (tmp_path / "a.mcap").write_bytes(b"my diary, not a recording")

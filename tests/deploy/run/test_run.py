@@ -212,7 +212,7 @@ def test_a_terminated_run_leaves_a_summary_and_no_orphan(tmp_path: Path) -> None
     assert run.returncode == 143
     assert not any(map(alive, pids))
     summary = json.loads(out)
-    assert summary["schema"] == "fastslow.run/2"
+    assert summary["schema"] == "fastslow.run/3"
     assert {"ticks", "answered", "missed", "collisions", "restarts", "latency_us", "commands", "directives"} <= set(
         summary
     )
@@ -329,7 +329,7 @@ def test_the_summary_tells_each_command_with_its_times() -> None:
     for at, outcome in ((2, "heard"), (3, "issued"), (4, "issued"), (9, "fulfilled")):
         summary.reply(Reply(stamp_ns=at * second, outcome=outcome, **common))  # type: ignore[arg-type]
     for kind in (EventKind.DELAYED, EventKind.DELAYED, EventKind.OVERRIDDEN):
-        summary.event(Event(epoch=1, stamp_ns=0, kind=kind, node="fast", tick=1, rule=Reason.ONCOMING))
+        summary.event(Event(epoch=1, stamp_ns=0, kind=kind, node="fast", tick=1, reason=Reason.ONCOMING))
     for pid in (1, 2):
         summary.status(
             Status(
@@ -339,7 +339,7 @@ def test_the_summary_tells_each_command_with_its_times() -> None:
                 pid=pid,
                 seq=1,
                 state="ready",
-                figures={"ticks": 10.0 * pid, "answered": 9.0, "rtt_p50_us": 100.0 * pid},
+                metrics={"ticks": 10.0 * pid, "answered": 9.0, "rtt_p50_us": 100.0 * pid},
             )
         )
     result = summary.result({"sim": 1, "slow": 0}, 20 * second)
@@ -378,7 +378,7 @@ def test_the_live_line_shows_what_is_going_on() -> None:
         kind=EventKind.CARRIED_OUT,
         node="fast",
         tick=8,
-        rule=Reason.ONCOMING,
+        reason=Reason.ONCOMING,
         vehicle=4,
         duration_s=1.5,
     )

@@ -75,8 +75,8 @@ def drive(ego: Ego, others: list[Other], picks: list[int], lanes, p: Preset) -> 
     for tick, pick in enumerate(picks):
         rows = [ego.row(lanes), *(other.row(i) for i, other in enumerate(others, 1))]
         seen = [r for r in rows if abs(r[X] - ego.x) <= SIGHT_M]
-        rule, _, cap = capped(seen, lanes, ego.target_speed, ego.lane, ego.previous, p)
-        opened = [a for a in range(5) if rule[a] == OPEN]
+        reasons, _, cap = capped(seen, lanes, ego.target_speed, ego.lane, ego.previous, p)
+        opened = [a for a in range(5) if reasons[a] == OPEN]
         if tick == 0 and (touched(rows) or not {MetaAction.CRUISE, MetaAction.SPEED_UP} & set(opened)):
             return 0
         before, ahead = ego, [other.x > ego.x for other in others]

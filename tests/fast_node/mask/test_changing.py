@@ -46,10 +46,10 @@ def test_a_change_is_completed_when_a_car_has_come_up_in_the_lane_that_is_mostly
 
 @given(scenes(), presets)
 def test_a_change_is_given_up_only_where_that_is_open_and_the_ego_has_not_left_its_lane(scene, preset):
-    rule, _ = judge(scene.rows, scene.lanes, scene.target_speed, scene.lane, scene.previous, PRESETS[preset])
-    if GIVE_UP_CHANGE in rule:
+    reasons, _ = judge(scene.rows, scene.lanes, scene.target_speed, scene.lane, scene.previous, PRESETS[preset])
+    if GIVE_UP_CHANGE in reasons:
         back = LEFT if scene.previous < scene.lane else RIGHT
-        assert (scene.previous >= 0, rule[back], int(scene.rows[0][LANE])) == (True, OPEN, scene.previous)
+        assert (scene.previous >= 0, reasons[back], int(scene.rows[0][LANE])) == (True, OPEN, scene.previous)
 
 
 @every_preset
@@ -61,7 +61,7 @@ def test_a_follower_that_brakes_at_once_does_not_reach_an_ego_that_may_go_on_wit
     p, aim = PRESETS[preset], 1 if side == MetaAction.LEFT else 3
     y = 8.0 + share * (4.0 * aim - 8.0)
     rows = [car(0, 500, 2, v, y_m=y), car(1, 500 + behind, aim, other_v)]
-    rule, _ = judge(rows, HIGHWAY, v, aim, previous=2, preset=p)
-    assume(rule[MetaAction.CRUISE] == OPEN)
+    reasons, _ = judge(rows, HIGHWAY, v, aim, previous=2, preset=p)
+    assume(reasons[MetaAction.CRUISE] == OPEN)
     ego, follower = braking(500.0, v, p.shown_brake), braking(500.0 + behind, other_v, p.follower_brake, p.reaction_s)
     assert all(ego(k / 30)[0] - follower(k / 30)[0] >= 5.0 for k in range(300))

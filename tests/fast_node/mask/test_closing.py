@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from fast_node.mask import OPEN, PRESETS, RULES, VERSION, close_actions
+from fast_node.mask import OPEN, PRESETS, REASONS, VERSION, close_actions
 from schemas.driving.road import ID
 from schemas.runtime.compiled import compiled
 from schemas.wire.messages import MetaAction
@@ -17,11 +17,11 @@ from tests.mask_scenes import SIGHT_M, capped, judge, presets, scenes
 @settings(max_examples=300, deadline=None)
 @given(scenes(), presets)
 def test_emergency_braking_is_always_open_and_every_closure_has_a_rule_and_a_vehicle_that_is_there(scene, preset):
-    rule, vehicle = judge(scene.rows, scene.lanes, scene.target_speed, scene.lane, scene.previous, PRESETS[preset])
+    reasons, vehicle = judge(scene.rows, scene.lanes, scene.target_speed, scene.lane, scene.previous, PRESETS[preset])
     seen = {int(row[ID]) for row in scene.rows[1:]}
-    assert rule[MetaAction.EMERGENCY_BRAKE] == OPEN
-    assert all(RULES[r] for r in rule if r != OPEN)
-    assert all(v == -1 or (r != OPEN and v in seen) for r, v in zip(rule, vehicle, strict=True))
+    assert reasons[MetaAction.EMERGENCY_BRAKE] == OPEN
+    assert all(REASONS[r] for r in reasons if r != OPEN)
+    assert all(v == -1 or (r != OPEN and v in seen) for r, v in zip(reasons, vehicle, strict=True))
 
 
 BEHAVIOUR = {"mask/8": "933dc51a92c317bd"}
@@ -38,7 +38,7 @@ COMPILED = compiled(close_actions)
 @settings(max_examples=400, deadline=None)
 @given(scenes(), presets)
 def test_the_compiled_mask_of_training_closes_what_the_driving_mask_closes(scene, preset):
-    rule, vehicle, near = np.zeros(6, np.int64), np.zeros(6, np.int64), np.zeros(3 * len(scene.lanes), np.int64)
+    reasons, vehicle, near = np.zeros(6, np.int64), np.zeros(6, np.int64), np.zeros(3 * len(scene.lanes), np.int64)
     cap = COMPILED(
         np.array(scene.rows),
         np.array(scene.lanes),
@@ -47,9 +47,9 @@ def test_the_compiled_mask_of_training_closes_what_the_driving_mask_closes(scene
         scene.previous,
         SIGHT_M,
         near,
-        rule,
+        reasons,
         vehicle,
         PRESETS[preset],
     )
     driving = capped(scene.rows, scene.lanes, scene.target_speed, scene.lane, scene.previous, PRESETS[preset])
-    assert (rule.tolist(), vehicle.tolist(), pytest.approx(cap)) == driving
+    assert (reasons.tolist(), vehicle.tolist(), pytest.approx(cap)) == driving

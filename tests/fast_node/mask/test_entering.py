@@ -94,8 +94,8 @@ def test_after_an_open_change_a_follower_that_reacts_late_does_not_reach_the_ego
 ):
     p, lanes, x = PRESETS[preset], ROADS[road], 260.0
     rows = [car(0, x, 2, v), car(1, x - 5.0 + behind, 1 if side == MetaAction.LEFT else 3, other_v)]
-    rule, _ = judge(rows, lanes, v, 2, preset=p)
-    assume(rule[side] == OPEN)
+    reasons, _ = judge(rows, lanes, v, 2, preset=p)
+    assume(reasons[side] == OPEN)
     late = p.follower_reaction_s + FOLLOWER_BLIND_S * max(0.0, 1.0 - v / CREEP_MPS)
     ego, follower = braking(x, v, p.shown_brake), braking(x - 5.0 + behind, other_v, p.follower_brake, late, 0.5)
     assert all(ego(k / 30)[0] - follower(k / 30)[0] > 5.0 for k in range(300))

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from fast_node.mask import PRESETS, RULES
+from fast_node.mask import PRESETS, REASONS
 from schemas.driving import measures
 from schemas.wire.messages import MetaAction
 from tests.mask_scenes import (
@@ -56,8 +56,8 @@ def test_a_car_that_cuts_in_ahead_limits_the_speed_before_it_is_in_the_lane():
 def test_a_car_that_crosses_the_lane_between_limits_the_speed_however_fast_it_crosses():
     crossing = car(1, 545, 1, 15, y_m=5.2, vy_mps=4.5)
     behind_it = [car(0, 500, 3, 25, y_m=10.7), crossing]
-    rule, _, cap = capped(behind_it, HIGHWAY, 25.0, 2, 3)
-    assert RULES[rule[MetaAction.SPEED_UP]] == "speed above the gap's"
+    reasons, _, cap = capped(behind_it, HIGHWAY, 25.0, 2, 3)
+    assert REASONS[reasons[MetaAction.SPEED_UP]] == "speed above the gap's"
     assert cap == pytest.approx(math.sqrt(1.95**2 + 2 * 6.5 * 38 + 6.5 / 9 * 15**2) - 1.95)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fast_node.mask import PRESETS, RULES
+from fast_node.mask import PRESETS, REASONS
 from fast_node.mask.neighbours import survey
 from fast_node.mask.passing import pass_time_s, passing
 from fast_node.mask.vocabulary import Situation
@@ -39,8 +39,8 @@ def test_a_slow_lead_may_be_passed_when_the_oncoming_lane_is_free():
 
 def test_oncoming_traffic_closes_the_way_past_a_slow_lead_and_is_named():
     rows = [car(0, 500, 1, 4), car(1, 512, 1, 3.5), car(7, 600, 0, -6)]
-    rule, vehicle = judge(rows, LANES, 4.0, 1)
-    assert (RULES[rule[MetaAction.LEFT]], vehicle[MetaAction.LEFT]) == ("oncoming traffic", 7)
+    reasons, vehicle = judge(rows, LANES, 4.0, 1)
+    assert (REASONS[reasons[MetaAction.LEFT]], vehicle[MetaAction.LEFT]) == ("oncoming traffic", 7)
 
 
 def test_leads_too_close_to_return_between_are_passed_together_if_there_is_time_for_both():
@@ -69,7 +69,7 @@ def test_nothing_is_left_to_pass_once_there_is_room_to_return():
     rows, near = [car(0, 520, 0, 7), car(1, 510, 1, 4)], [0] * 6
     survey(rows, LANES, near)
     there = Situation(rows, LANES, near, 7.0, 0, -1, SIGHT_M, 3000.0, SIM)
-    assert RULES[passing(there, home=1, away=0)[0]] == "nothing to pass"
+    assert REASONS[passing(there, home=1, away=0)[0]] == "nothing to pass"
 
 
 @every_preset

@@ -48,9 +48,9 @@ STRATEGIES: dict[str, st.SearchStrategy[m.Message]] = {
         speed_goal_mps=st.none() | numbers,
         directive_id=st.none() | counts,
         probabilities=st.lists(numbers, max_size=5).map(tuple),
-        closed=st.lists(st.builds(m.Closure, action=st.integers(0, 5), rule=st.sampled_from(m.Reason)), max_size=6).map(
-            tuple
-        ),
+        closed=st.lists(
+            st.builds(m.Closure, action=st.integers(0, 5), reason=st.sampled_from(m.Reason)), max_size=6
+        ).map(tuple),
         **header,
     ),
     "directive": st.builds(
@@ -80,7 +80,7 @@ STRATEGIES: dict[str, st.SearchStrategy[m.Message]] = {
         kind=st.sampled_from(m.EventKind),
         node=words,
         tick=counts,
-        rule=st.none() | st.sampled_from(m.Reason),
+        reason=st.none() | st.sampled_from(m.Reason),
         detail=words,
         **header,
     ),
@@ -90,7 +90,7 @@ STRATEGIES: dict[str, st.SearchStrategy[m.Message]] = {
         pid=counts,
         seq=counts,
         state=st.sampled_from(["ready", "stopping"]),
-        figures=st.dictionaries(st.text(string.ascii_lowercase, max_size=12), numbers, max_size=12),
+        metrics=st.dictionaries(st.text(string.ascii_lowercase, max_size=12), numbers, max_size=12),
         **header,
     ),
     "thought": st.builds(
@@ -184,8 +184,8 @@ def test_a_payload_that_is_too_large_is_not_read() -> None:
 @given(case=CASES)
 def test_a_newer_minor_is_read_and_its_unknown_fields_are_ignored(case: tuple[Topic[m.Message], m.Message]) -> None:
     topic, message = case
-    newer = {**as_map(message), "schema": "2.9", "from_the_future": 1}
-    assert decode(topic, msgspec.msgpack.encode(newer)) == msgspec.structs.replace(message, schema="2.9")
+    newer = {**as_map(message), "schema": "3.9", "from_the_future": 1}
+    assert decode(topic, msgspec.msgpack.encode(newer)) == msgspec.structs.replace(message, schema="3.9")
 
 
 @ANY_TOPIC
@@ -193,23 +193,23 @@ def test_a_newer_minor_is_read_and_its_unknown_fields_are_ignored(case: tuple[To
 @given(data=st.data())
 def test_another_major_is_refused_naming_both(topic: Topic[m.Message], data: st.DataObject) -> None:
     message = data.draw(STRATEGIES[topic.name])
-    with pytest.raises(Fault, match=rf"3\.0.*{m.SCHEMA_VERSION}"):
-        decode(topic, msgspec.msgpack.encode({**as_map(message), "schema": "3.0"}))
+    with pytest.raises(Fault, match=rf"4\.0.*{m.SCHEMA_VERSION}"):
+        decode(topic, msgspec.msgpack.encode({**as_map(message), "schema": "4.0"}))
 
 
 def test_a_reason_and_a_kind_of_a_newer_minor_are_kept_as_they_came() -> None:
-    event = m.Event(epoch=1, stamp_ns=1, kind=m.EventKind.DELAYED, node="fast", tick=1, rule=m.Reason.LEAD)
-    newer = {**as_map(event), "schema": "2.9", "kind": "postponed", "rule": "fog ahead"}
+    event = m.Event(epoch=1, stamp_ns=1, kind=m.EventKind.DELAYED, node="fast", tick=1, reason=m.Reason.LEAD)
+    newer = {**as_map(event), "schema": "3.9", "kind": "postponed", "reason": "fog ahead"}
     read = decode(EVENT, msgspec.msgpack.encode(newer))
-    assert (read.kind, read.rule) == ("postponed", "fog ahead")
-    assert (read.kind in list(m.EventKind), read.rule in list(m.Reason)) == (False, False)
+    assert (read.kind, read.reason) == ("postponed", "fog ahead")
+    assert (read.kind in list(m.EventKind), read.reason in list(m.Reason)) == (False, False)
     assert decode(EVENT, encode(read)) == read
 
 
 def test_a_reason_that_is_no_text_is_refused() -> None:
     event = m.Event(epoch=1, stamp_ns=1, kind=m.EventKind.DELAYED, node="fast", tick=1)
-    with pytest.raises(Fault, match="rule"):
-        decode(EVENT, msgspec.msgpack.encode({**as_map(event), "rule": 4}))
+    with pytest.raises(Fault, match="reason"):
+        decode(EVENT, msgspec.msgpack.encode({**as_map(event), "reason": 4}))
 
 
 RECORDED = json.loads(Path(__file__).with_name("recorded.json").read_text("utf-8"))
@@ -227,7 +227,7 @@ def test_bytes_recorded_from_every_version_of_this_major_mean_what_they_meant(to
             plain = msgspec.msgpack.decode(payload)
             assert {name: as_map(message)[name] for name in plain} == plain
         else:
-            with pytest.raises(Fault, match=rf"schema {version} is not readable|not a"):
+            with pytest.raises(Fault, match=rf"schema {version[0]}\.\d is not readable"):
                 decode(topic, payload)
 
 

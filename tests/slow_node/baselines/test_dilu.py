@@ -123,12 +123,12 @@ class Scripted:
 def braking(
     ticks: int, *, paused: bool, takes_s: float = 2.4, answer: str = "Response to user:#### 0"
 ) -> tuple[float, Scripted, dict[str, object]]:
-    """The sum of the ego's accelerations on the highway, who drove, and its figures."""
+    """The sum of the ego's accelerations on the highway, who drove, and its metrics."""
     model = Scripted(answer, takes_s)
     scenario = replace(SCENARIOS["highway"], duration_s=ticks / 15)
-    results, figures = drive_dilu(scenario, [1000], paused=paused, ask=model, bank=BANK, clock=model.clock)
+    results, metrics = drive_dilu(scenario, [1000], paused=paused, ask=model, bank=BANK, clock=model.clock)
     assert results[0].ticks == ticks
-    return results[0].accel_sum, model, figures.summary()
+    return results[0].accel_sum, model, metrics.summary()
 
 
 def test_a_paused_world_takes_the_decision_in_the_tick_that_asked() -> None:
@@ -162,9 +162,9 @@ def test_a_model_that_always_cruises_drives_and_is_measured_as_the_cruising_agen
 
 
 def test_an_answer_without_an_action_is_counted_and_cruises() -> None:
-    accelerated, _, figures = braking(30, paused=True, answer="I would rather not say.")
+    accelerated, _, metrics = braking(30, paused=True, answer="I would rather not say.")
     assert accelerated == 0.0
-    assert (figures["decisions"], figures["unparseable_share"]) == (2, 1.0)
+    assert (metrics["decisions"], metrics["unparseable_share"]) == (2, 1.0)
 
 
 def test_a_question_without_an_answer_counts_as_one_without_an_action() -> None:
@@ -172,14 +172,14 @@ def test_a_question_without_an_answer_counts_as_one_without_an_action() -> None:
         raise ModelTimeoutError("no answer")
 
     scenario = replace(SCENARIOS["highway"], duration_s=1.0)
-    _, figures = drive_dilu(scenario, [1000], paused=True, ask=never, bank=BANK, clock=ManualClock())
-    assert figures.unparseable == 1
+    _, metrics = drive_dilu(scenario, [1000], paused=True, ask=never, bank=BANK, clock=ManualClock())
+    assert metrics.unparseable == 1
 
 
 def test_the_figures_are_latencies_and_tokens_per_decision() -> None:
-    figures = braking(45, paused=True)[2]
-    assert (figures["latency_p50_s"], figures["latency_p95_s"]) == (pytest.approx(2.4), pytest.approx(2.4))
-    assert (figures["prompt_tokens"], figures["answer_tokens"]) == (100.0, 10.0)
+    metrics = braking(45, paused=True)[2]
+    assert (metrics["latency_p50_s"], metrics["latency_p95_s"]) == (pytest.approx(2.4), pytest.approx(2.4))
+    assert (metrics["prompt_tokens"], metrics["answer_tokens"]) == (100.0, 10.0)
 
 
 @pytest.fixture
