@@ -14,7 +14,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from schemas.wire.program import Program
-from slow_node.llm.model import Chat, ChatModel, ModelError, ModelTimeoutError
+from slow_node.llm.dialect import Chat
+from slow_node.llm.errors import ModelError, ModelTimeoutError
+from slow_node.llm.model import ChatModel
 from slow_node.memory.bank import Example, Memory
 from slow_node.planning.directive import UNSAFE_WHY, ParseError, cross_check, parse_answer
 from slow_node.planning.prompt import adapted_prompt, build_prompt, repair_prompt

@@ -52,7 +52,7 @@ class SlowNode:
             "calls": float(self._model.calls),
             "model_ms": self._model_ms,
             "tokens": float(self._model.prompt_tokens + self._model.answer_tokens),
-            **({"cost_usd": self._model.cost_usd} if self._model.price_usd is not None else {}),
+            **({"cost_usd": cost} if (cost := self._model.cost_usd) is not None else {}),
         }
 
     async def run(self, stopped: Callable[[], bool] = lambda: False, heart: Heartbeat | None = None) -> None:

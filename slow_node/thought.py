@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from schemas.wire.messages import Recalled, Thought, Turn
-from slow_node.llm.model import Chat
+from slow_node.llm.dialect import Chat
 from slow_node.memory.bank import Example
 from slow_node.understanding.slots import Slots
 

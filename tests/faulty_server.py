@@ -26,6 +26,8 @@ class FaultyServer:
 
     def __init__(self, *steps: object) -> None:
         self.bodies: list[dict[str, Any]] = []
+        self.paths: list[str] = []
+        self.headers: list[dict[str, str]] = []
         self.connections = 0
         self.hung_up = threading.Event()
         outer = self
@@ -39,6 +41,8 @@ class FaultyServer:
 
             def do_POST(self) -> None:
                 outer.bodies.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
+                outer.paths.append(self.path)
+                outer.headers.append({name.lower(): value for name, value in self.headers.items()})
                 step = steps[min(len(outer.bodies), len(steps)) - 1]
                 try:
                     self._play(step(outer.bodies[-1]) if callable(step) else step)
@@ -55,6 +59,8 @@ class FaultyServer:
                     self.wfile.write(b'HTTP/1.1 200 OK\r\nContent-Length: 500\r\n\r\n{"choices": [{')
                 elif step == "drip":
                     self._drip()
+                elif step == "endless":
+                    self._endless()
                 else:
                     assert isinstance(step, tuple)
                     status, headers, body = step
@@ -73,6 +79,12 @@ class FaultyServer:
                         time.sleep(0.05)
                 except OSError:
                     outer.hung_up.set()
+
+            def _endless(self) -> None:
+                """A body without an end, as fast as it is read."""
+                self.wfile.write(b"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\n\r\n")
+                while True:
+                    self.wfile.write(b"[" * 65536)
 
             def log_message(self, *_: object) -> None:
                 pass

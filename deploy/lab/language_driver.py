@@ -37,8 +37,10 @@ from sim_node.metrics import Settled
 from sim_node.results import EpisodeResult
 from sim_node.scenarios import SCENARIOS, Scenario
 from slow_node.baselines.dilu import Bank, Experience, build_prompt, describe, explain, parse
+from slow_node.llm.dialect import Chat
 from slow_node.llm.embedding import load_embedder
-from slow_node.llm.model import MAX_TOKENS, Chat, ChatModel, ModelError, ModelTimeoutError
+from slow_node.llm.errors import ModelError, ModelTimeoutError
+from slow_node.llm.model import MAX_TOKENS, ChatModel
 
 MAX_TOKENS_EMBEDDED = 64
 """More than twice an example's answer: what is longer has lost the thread."""

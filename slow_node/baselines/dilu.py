@@ -19,8 +19,8 @@ import numpy as np
 from schemas.driving.road import LANE, VX, X, gap_between
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import Lane, MetaAction, Observation
+from slow_node.llm.dialect import Chat
 from slow_node.llm.embedding import Embedder
-from slow_node.llm.model import Chat
 
 FEW_SHOTS = 3
 """Experiences in a prompt: their `few_shot_num`."""

@@ -9,7 +9,6 @@ fast node checks once more.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -19,10 +18,11 @@ from pydantic import ValidationError
 from schemas.driving.intent import LANE_ENDS_S
 from schemas.driving.measures import INF
 from schemas.wire.messages import Directive, Manoeuvre, Style
+from slow_node.llm.answer import json_object
 from slow_node.memory.bank import Example
 from slow_node.planning.replies import sentence
 from slow_node.planning.scene import Scene, is_slow
-from slow_node.understanding.slots import FAR_OVER_LIMIT, Outcome, Slots
+from slow_node.understanding.slots import ANSWERED, FAR_OVER_LIMIT, Outcome, Slots
 
 SLOW_LEAD_WITHIN_M = 80.0
 SLOWER_BY_MPS, SLOWEST_MPS = 2.0, 1.0
@@ -49,19 +49,17 @@ class Refusal:
 
 
 def parse_answer(text: str, numbers: Mapping[str, float] | None = None) -> Slots:
-    """The slots in a model's text, which may wrap its JSON object in prose. Raises `ParseError`.
+    """The slots in a model's text, which may wrap its JSON object in prose and add keys. Raises `ParseError`.
 
     numbers: slots that a directive has besides, of a model that has learnt to leave them to others.
     """
-    start = text.find("{")
-    if start < 0:
-        raise ParseError("it contains no JSON object")
     try:
-        value, _ = json.JSONDecoder().raw_decode(text, start)
-    except (ValueError, RecursionError):
-        raise ParseError("its JSON object is broken or cut off") from None
+        value = json_object(text)
+    except ValueError as error:
+        raise ParseError(str(error)) from None
+    value = {key: value[key] for key in value if key in ANSWERED}
     try:
-        if numbers and isinstance(value, dict) and value.get("outcome") == "directive":
+        if numbers and value.get("outcome") == "directive":
             value = {**value, **numbers}
         slots = Slots.model_validate(value)
     except ValidationError as error:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from slow_node.llm.model import Chat
+from slow_node.llm.dialect import Chat
 from slow_node.memory.bank import Example
 from slow_node.planning.scene import road_and_lead
 

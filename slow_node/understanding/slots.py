@@ -66,6 +66,10 @@ class Slots(BaseModel):
         return json.dumps(self.model_dump(exclude_defaults=True), ensure_ascii=False, separators=(",", ":"))
 
 
+ANSWERED = frozenset(Slots.model_fields) - {"language"}
+"""What is read of a model's answer."""
+
+
 def adapted_schema() -> dict[str, Any]:
     """JSON schema of what the embedded model's adapter has learnt to answer: only what was asked for, no numbers."""
     properties: dict[str, Any] = {

@@ -76,7 +76,7 @@ def test_the_adapted_model_sees_the_command_alone_and_rules_tell_its_numbers(mem
 
 def test_a_model_that_obeys_an_injection_gets_nowhere_beyond_the_slots(memory: Memory) -> None:
     with FaultyServer(answer('{"outcome":"directive","speed":"faster","mask":"off"}')) as server:
-        assert interpreted(server, memory).slots is None
+        assert interpreted(server, memory).slots == Slots(outcome="directive", speed="faster")
 
 
 def test_examples_of_any_length_leave_room_for_the_command(memory: Memory) -> None:

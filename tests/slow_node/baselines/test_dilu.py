@@ -17,8 +17,9 @@ from schemas.runtime.process import ConfigError
 from schemas.wire.messages import Lane, MetaAction, Observation
 from sim_node.scenarios import SCENARIOS
 from slow_node.baselines.dilu import Bank, Experience, build_prompt, describe, explain, parse
+from slow_node.llm.dialect import Chat
 from slow_node.llm.embedding import HashedEmbedder
-from slow_node.llm.model import Chat, ModelTimeoutError
+from slow_node.llm.errors import ModelTimeoutError
 from tests.scenes import HIGHWAY, TWO_WAY, car, lane, observation
 
 ROAD = HIGHWAY[:3]

@@ -8,7 +8,10 @@ from typing import Any
 
 import pytest
 
-from slow_node.llm.model import Breaker, ChatModel, ModelError, is_loopback
+from slow_node.llm.breaker import Breaker
+from slow_node.llm.endpoint import is_loopback
+from slow_node.llm.errors import ModelError
+from slow_node.llm.model import ChatModel
 from slow_node.understanding.slots import answer_schema
 from tests.faulty_server import SLOWER, FaultyServer, answer
 
