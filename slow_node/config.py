@@ -6,6 +6,8 @@ from typing import Literal
 
 from schemas.runtime.process import NodeConfig
 
+BUDGET_S, BUDGET_MAX_S = 8.0, 300.0
+
 
 class SlowConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Which model to ask, and how. The key is read from the environment variable named here, never from a file."""
@@ -20,7 +22,11 @@ class SlowConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """The embedded model has its adapter, and is asked as that has learnt it; False: with recalled examples."""
     memory_path: str = ""
     """SQLite file of the memory bank; empty: a bank that ends with the process."""
-    budget_s: float = 8.0
+    budget_s: float = BUDGET_S
+    """How long the language model may take for one command, retries included. What its answer was thought for may be
+    as old."""
+    max_tokens: int = 0
+    """Of an answer, thoughts included; 0: as `slow_node.llm.model` has it."""
     k: int = 4
     """Examples recalled for the language model; 0: none."""
     ask: Literal["auto", "always", "unsure", "never"] = "auto"
@@ -33,7 +39,9 @@ class SlowConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def __post_init__(self) -> None:
         if not self.base_url.startswith(("http://", "https://")):
             raise ValueError(f"base_url {self.base_url!r} must start with http:// or https://")
-        if not 0.5 <= self.budget_s <= 60.0:
-            raise ValueError("budget_s must be in 0.5..60")
+        if not 0.5 <= self.budget_s <= BUDGET_MAX_S:
+            raise ValueError(f"budget_s must be in 0.5..{BUDGET_MAX_S:.0f}")
+        if self.max_tokens < 0:
+            raise ValueError("max_tokens must be at least 1, or 0 for the default")
         if not 0 <= self.k <= 8:
             raise ValueError("k must be in 0..8")

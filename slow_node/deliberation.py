@@ -29,7 +29,7 @@ from slow_node.planning.scene import Scene
 from slow_node.pursuit import Pursuit
 from slow_node.understanding.slots import Slots
 
-SCENE_MAX_AGE_S = 10.0
+SCENE_MAX_AGE_S, SPARE_S = 10.0, 2.0
 RENEW_BEFORE_S = 3.0
 REPLAN_EVERY_S = 3.0
 PURSUIT_MAX_S = 120.0
@@ -83,7 +83,9 @@ class _Pending:
 class Deliberation:
     """Commands, scenes, events and interpretations in; effects out."""
 
-    def __init__(self) -> None:
+    def __init__(self, budget_s: float = 0.0) -> None:
+        """budget_s: what an interpretation may take. One that took little longer counts."""
+        self._thinks_at_most_s = max(SCENE_MAX_AGE_S, budget_s + SPARE_S)
         self._scene: Scene | None = None
         self._pending: _Pending | None = None
         self._pursuit: Pursuit | None = None
@@ -154,15 +156,24 @@ class Deliberation:
                 return [self._reply(command, "failed", now_ns, why=found.why, say=say)]
             return [self._refused(command, found.why, "unclear", now_ns)]
         self._language = found.slots.language
-        scene = pending.scene
-        if self._scene is not None and self._scene.epoch != scene.epoch:
-            scene = self._scene  # the world was reset meanwhile: the command stands, its scene does not
+        scene, late = self._scene_of(pending, now_ns)
         draft = directive_of(found.slots, scene)
         if isinstance(draft, Refusal):
             return [self._refused(command, found.why or draft.why, "", now_ns, say=draft.say)]
-        if now_ns - scene.stamp_ns > SCENE_MAX_AGE_S * NS:
+        if late:
             return [self._refused(command, "the answer came too late for its scene", "again", now_ns)]
         return self._begin(command, found.slots, found.why, scene, draft, now_ns)
+
+    def _scene_of(self, pending: _Pending, now_ns: int) -> tuple[Scene, bool]:
+        """The scene to plan an answer for, and whether it came too late.
+
+        After a reset of the world, or long thoughts, the command stands and its scene does not.
+        """
+        thought, newest = pending.scene, self._scene or pending.scene
+        old = now_ns - thought.stamp_ns > SCENE_MAX_AGE_S * NS
+        scene = newest if newest.epoch != thought.epoch or old else thought
+        too_long = newest.epoch == thought.epoch and now_ns - thought.stamp_ns > self._thinks_at_most_s * NS
+        return scene, too_long or now_ns - scene.stamp_ns > SCENE_MAX_AGE_S * NS
 
     def on_event(self, event: Event, now_ns: int) -> list[Effect]:
         """What the fast node reports about the pursuit's directives. An expired one is renewed by the next scene."""

@@ -13,7 +13,7 @@ from schemas.runtime.process import Heartbeat, log
 from schemas.wire import topics
 from schemas.wire.codec import Fault, decode_command
 from schemas.wire.messages import Directive, Reply
-from slow_node.config import SlowConfig
+from slow_node.config import BUDGET_S, SlowConfig
 from slow_node.deliberation import Abandon, Deliberation, Effect, Interpret, Remember
 from slow_node.interpreter import Interpretation, Interpreter, Style
 from slow_node.journal import Diary
@@ -33,12 +33,14 @@ POLL_S = 0.03
 class SlowNode:
     """Polls the bus, feeds the deliberation, carries its effects out."""
 
-    def __init__(self, bus: Bus, memory: Memory, model: ChatModel, interpreter: Interpreter) -> None:
+    def __init__(
+        self, bus: Bus, memory: Memory, model: ChatModel, interpreter: Interpreter, budget_s: float = BUDGET_S
+    ) -> None:
         self._bus, self._memory, self._model, self._interpreter = bus, memory, model, interpreter
         self._observations = bus.subscribe(topics.OBSERVATION)
         self._commands = bus.subscribe_bytes(topics.COMMAND)
         self._events = bus.subscribe(topics.EVENT)
-        self._deliberation = Deliberation()
+        self._deliberation = Deliberation(budget_s)
         self._diary = Diary(lambda journal: bus.publish(topics.JOURNAL, journal))
         self._interpretation: asyncio.Task[None] | None = None
         self._chores: set[asyncio.Task[None]] = set()
@@ -170,7 +172,7 @@ class SlowNode:
 def build(bus: Bus, config: SlowConfig) -> tuple[SlowNode, Memory]:
     """The node with its parts; the caller closes the memory."""
     interpreter, memory, model = build_interpreter(config)
-    return SlowNode(bus, memory, model, interpreter), memory
+    return SlowNode(bus, memory, model, interpreter, config.budget_s), memory
 
 
 def build_interpreter(config: SlowConfig) -> tuple[Interpreter, Memory, ChatModel]:
@@ -180,9 +182,8 @@ def build_interpreter(config: SlowConfig) -> tuple[Interpreter, Memory, ChatMode
     key = "" if config.embedded else os.environ.get(config.api_key_env, "")
     if not key and not config.embedded:
         log(NAME, "key", f"{config.api_key_env} is not set; calling {config.base_url} without a key")
-    model = ChatModel(
-        config.base_url, config.model, key, max_tokens=MAX_TOKENS_SHORT if config.embedded else MAX_TOKENS
-    )
+    most = config.max_tokens or (MAX_TOKENS_SHORT if config.embedded else MAX_TOKENS)
+    model = ChatModel(config.base_url, config.model, key, max_tokens=most)
     ask = config.ask if config.ask != "auto" else "unsure" if config.embedded else "always"
     parser = IntentParser.load(embedder) if config.parser else None
     reader = ProgramReader(parser) if parser is not None else None

@@ -24,7 +24,8 @@ class FaultyServer:
     """Answers its n-th request with the n-th step (the last one for ever): an HTTP answer, a function of the request
     that makes one, or a named misbehaviour. Keeps connections open, as HTTP/1.1 does."""
 
-    def __init__(self, *steps: object) -> None:
+    def __init__(self, *steps: object, models: tuple[str, ...] | None = None) -> None:
+        """models: what it says it serves; None: it does not list them."""
         self.bodies: list[dict[str, Any]] = []
         self.paths: list[str] = []
         self.headers: list[dict[str, str]] = []
@@ -48,6 +49,10 @@ class FaultyServer:
                     self._play(step(outer.bodies[-1]) if callable(step) else step)
                 except OSError:
                     self.close_connection = True
+
+            def do_GET(self) -> None:
+                listed = {"object": "list", "data": [{"id": name} for name in models or ()]}
+                self._play((404, {}, b"") if models is None else (200, {}, json.dumps(listed).encode()))
 
             def _play(self, step: object) -> None:
                 self.close_connection = isinstance(step, str)

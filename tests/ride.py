@@ -42,8 +42,8 @@ def scene(ego: int, *cars: Car, lanes: tuple[Lane, ...] = ONE_WAY, speed: float 
 class Ride:
     """A deliberation with its time, and all that came out of it. Times in seconds."""
 
-    def __init__(self, lanes: tuple[Lane, ...] = ONE_WAY) -> None:
-        self.deliberation, self.lanes, self.now_s, self.said = Deliberation(), lanes, START_S, 0
+    def __init__(self, lanes: tuple[Lane, ...] = ONE_WAY, budget_s: float = 0.0) -> None:
+        self.deliberation, self.lanes, self.now_s, self.said = Deliberation(budget_s), lanes, START_S, 0
         self.out: list[Effect] = []
 
     def look(self, ego: int, *cars: Car, after_s: float = 0.1, epoch: int = 1) -> list[Effect]:

@@ -49,6 +49,6 @@ def model_of(kind: str, script: Callable[[str], str], at_least: int = 1) -> Iter
         yield {}
         return
     scripted = ScriptedModel(script)
-    yield {"OPENAI_API_KEY": "any", "OPENAI_BASE_URL": scripted.url}
+    yield {"OPENAI_API_KEY": "any", "OPENAI_BASE_URL": scripted.url, "OPENAI_MODEL": "scripted"}
     assert len(scripted.prompts) >= at_least
     scripted.close()

@@ -7,7 +7,22 @@ from typing import Annotated
 
 import typer
 
-from deploy.cli.options import DEFAULT_PORT, EXITS, Density, Dropout, Json, NoiseM, NoiseMps, Port, Traffic, names
+from deploy.cli.options import (
+    DEFAULT_PORT,
+    EXITS,
+    BaseUrl,
+    BudgetS,
+    Density,
+    Dropout,
+    Json,
+    MaxTokens,
+    ModelName,
+    NoiseM,
+    NoiseMps,
+    Port,
+    Traffic,
+    names,
+)
 
 commands = typer.Typer()
 
@@ -18,8 +33,9 @@ commands = typer.Typer()
     "  fastslow run --scenario highway --density 2 --traffic trucks,sway\n\n"
     "  fastslow run --policy mine:load    (your own policy: a callable load in mine.py that returns it)\n\n"
     "  fastslow run --without fast        (to bring your own node)\n\n"
-    "With OPENAI_API_KEY (and OPENAI_BASE_URL, OPENAI_MODEL) set, that model is asked instead of "
-    "the embedded one.\n\n" + EXITS
+    "  fastslow run --base-url localhost:11434 --model qwen3:8b --budget-s 30    (Ollama)\n\n"
+    "With OPENAI_API_KEY, OPENAI_BASE_URL or OLLAMA_HOST set, or with --base-url, that endpoint is asked "
+    "instead of the embedded model.\n\n" + EXITS
 )
 def run(
     scenario: Annotated[
@@ -75,9 +91,13 @@ def run(
     record_max_mb: Annotated[
         float, typer.Option(min=1.0, help="For all recordings in runs/ together: the oldest are removed.")
     ] = 300.0,
+    model: ModelName = None,
+    base_url: BaseUrl = None,
+    budget_s: BudgetS = None,
+    max_tokens: MaxTokens = None,
 ) -> None:
     """Start the simulator, the fast and the slow node, the language model and the cockpit, and watch over them."""
-    from deploy.run.processes import NAMES, RunOptions
+    from deploy.run.processes import NAMES, ModelOptions, RunOptions
 
     unknown = sorted(set(without or ()) - set(NAMES))
     if unknown:
@@ -111,6 +131,7 @@ def run(
                 cockpit_port=cockpit_port if cockpit else None,
                 record=record,
                 record_max_mb=record_max_mb,
+                model=ModelOptions(name=model, base_url=base_url, budget_s=budget_s, max_tokens=max_tokens),
             )
         )
     )
@@ -144,9 +165,21 @@ def status(port: Port = DEFAULT_PORT, as_json: Json = False) -> None:
     raise typer.Exit(talk.status(port=port, as_json=as_json))
 
 
-@commands.command(epilog="Examples:\n\n  fastslow doctor\n\n  fastslow doctor --json\n\n" + EXITS)
-def doctor(port: Port = DEFAULT_PORT, as_json: Json = False) -> None:
-    """Check that everything a run needs is here, and say how to mend what is not."""
+@commands.command(
+    epilog="Examples:\n\n  fastslow doctor\n\n  fastslow doctor --json\n\n"
+    "  fastslow doctor --base-url localhost:11434 --model qwen3:8b\n\n" + EXITS
+)
+def doctor(
+    port: Port = DEFAULT_PORT,
+    as_json: Json = False,
+    model: ModelName = None,
+    base_url: BaseUrl = None,
+    budget_s: BudgetS = None,
+    max_tokens: MaxTokens = None,
+) -> None:
+    """Check that everything a run needs is here, an endpoint by one word, and say how to mend what is not."""
     from deploy.run.doctor import doctor as examine
+    from deploy.run.processes import ModelOptions
 
-    raise typer.Exit(examine(port=port, as_json=as_json))
+    asked = ModelOptions(name=model, base_url=base_url, budget_s=budget_s, max_tokens=max_tokens)
+    raise typer.Exit(examine(port=port, as_json=as_json, model=asked))

@@ -10,7 +10,21 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from deploy.cli.options import EXITS, Density, Dropout, Json, NoiseM, NoiseMps, Traffic, names, readable_ends
+from deploy.cli.options import (
+    EXITS,
+    BaseUrl,
+    BudgetS,
+    Density,
+    Dropout,
+    Json,
+    MaxTokens,
+    ModelName,
+    NoiseM,
+    NoiseMps,
+    Traffic,
+    names,
+    readable_ends,
+)
 
 commands = typer.Typer()
 
@@ -204,6 +218,10 @@ def interpret(
     parser: Annotated[bool, typer.Option(help="Use the trained intent parser.")] = True,
     k: Annotated[int, typer.Option(min=0, max=8, help="Examples recalled for the model.")] = 4,
     threads: Annotated[int, typer.Option(min=1, help="Of the embedded model.")] = 1,
+    model: ModelName = None,
+    base_url: BaseUrl = None,
+    budget_s: BudgetS = None,
+    max_tokens: MaxTokens = None,
     as_json: Json = False,
 ) -> None:
     """Turn commands into directives in batch mode, by the code that drives; or score that."""
@@ -214,7 +232,9 @@ def interpret(
     from deploy.lab.interpret import batch
     from deploy.lab.interpret_score import SETS, memory_experiment, score_set
     from deploy.lab.interpreter import Ask
+    from deploy.run.processes import ModelOptions
 
+    options = ModelOptions(name=model, base_url=base_url, budget_s=budget_s, max_tokens=max_tokens)
     if ask not in get_args(Ask):
         raise typer.BadParameter(f"{ask}: choose from {', '.join(get_args(Ask))}", param_hint="'--ask'")
     if experiment is not None:
@@ -226,9 +246,17 @@ def interpret(
     if score:
         raise typer.Exit(
             score_set(
-                which, as_json=as_json, per_kind=per_kind, output=output, ask=ask, parser=parser, k=k, threads=threads
+                which,
+                as_json=as_json,
+                per_kind=per_kind,
+                output=output,
+                ask=ask,
+                parser=parser,
+                k=k,
+                threads=threads,
+                model=options,
             )
         )
     if source is None:
         raise typer.BadParameter('give a file or "-", or --score', param_hint="'--input'")
-    raise typer.Exit(batch(source, output, scene, ask=ask, parser=parser, k=k, threads=threads))
+    raise typer.Exit(batch(source, output, scene, ask=ask, parser=parser, k=k, threads=threads, model=options))

@@ -64,6 +64,8 @@ def list_(
 
     A line is: id, how often fulfilled, last outcome, its time, smallest time to collision, command, decision.
     """
+    from schemas.wire.text import plain
+
     with _bank(bank) as memory:
         rows = [_row(e) for e in memory.examples() if shipped or not e.shipped]
     if as_json:
@@ -73,7 +75,7 @@ def list_(
         times = f"{row['fulfilled']}/{row['fulfilled'] + row['failed']}"
         typer.echo(
             f"{row['id']:>5}  {times:>5}  {row['outcome']:<12} {row['took_s']:>6} s  "
-            f"TTC {_seconds(row['min_ttc_s'])}  {row['command']}  {row['slots']}"
+            f"TTC {_seconds(row['min_ttc_s'])}  {plain(row['command'])}  {row['slots']}"
         )
     typer.echo(f"{len(rows)} examples", err=True)
 

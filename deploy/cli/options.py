@@ -26,6 +26,32 @@ Traffic = Annotated[
 NoiseM = Annotated[float, typer.Option(min=0.0, help="Error of perceived positions, standard deviation.")]
 NoiseMps = Annotated[float, typer.Option(min=0.0, help="Error of perceived speeds, standard deviation.")]
 Dropout = Annotated[float, typer.Option(min=0.0, max=0.9, help="Chance that a car goes unseen at a tick.")]
+ModelName = Annotated[
+    str | None,
+    typer.Option(
+        "--model", metavar="NAME", help="The endpoint's model.", show_default="OPENAI_MODEL, or the only one it serves"
+    ),
+]
+BaseUrl = Annotated[
+    str | None,
+    typer.Option(
+        metavar="URL",
+        help="Any OpenAI-compatible endpoint, such as http://127.0.0.1:11434/v1; a key is read from OPENAI_API_KEY.",
+        show_default="OPENAI_BASE_URL; or OpenAI, with a key; or OLLAMA_HOST; or none: the embedded model",
+    ),
+]
+BudgetS = Annotated[
+    float | None,
+    typer.Option(
+        min=0.5, max=300.0, metavar="S", help="How long the model may take for one command.", show_default="8"
+    ),
+]
+MaxTokens = Annotated[
+    int | None,
+    typer.Option(
+        min=1, metavar="N", help="Of the model's answer, its thoughts included.", show_default="2000; embedded 120"
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Data as JSON on stdout; everything else on stderr.")]
 
 

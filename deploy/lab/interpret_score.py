@@ -12,6 +12,7 @@ import numpy as np
 
 from deploy.lab.interpret import DEFAULT_SCENE, interpret_lines, scene_of
 from deploy.lab.interpreter import running_interpreter
+from deploy.run.processes import ModelOptions
 from schemas.runtime.process import CONFIG, OK, ConfigError
 from slow_node.evaluation.score import DEV_SET, read_lines, score, table
 
@@ -34,7 +35,7 @@ def measure(gold: list[dict[str, Any]], **options: Any) -> dict[str, Any]:
             "max": float(latencies.max()),
         },
         "answered_by": {name: sum(row["model"] == name for row in rows) for name in sorted(answered)},
-        "settings": {key: options[key] for key in sorted(options)},
+        "settings": {key: options[key] for key in sorted(options) if key != "model"},
         "rows": rows,
     }
 
@@ -86,7 +87,14 @@ def memory_experiment(*, as_json: bool, per_kind: int | None, threads: int) -> i
         print(name, file=sys.stderr)
         try:
             result = measure(
-                gold, ask="always", parser=False, k=k, empty_bank=empty, threads=threads, adapter=adapter, budget_s=60.0
+                gold,
+                ask="always",
+                parser=False,
+                k=k,
+                empty_bank=empty,
+                threads=threads,
+                adapter=adapter,
+                model=ModelOptions(budget_s=60.0),
             )
         except ConfigError as error:
             print(f"fastslow: {error}", file=sys.stderr)

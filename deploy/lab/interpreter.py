@@ -9,8 +9,9 @@ from collections.abc import Iterator
 from typing import Literal
 
 from deploy.run.launch import Launched
+from deploy.run.model_choice import choose_model
 from deploy.run.model_server import embedded_server
-from deploy.run.processes import choose_model
+from deploy.run.processes import ModelOptions
 from slow_node.config import SlowConfig
 from slow_node.interpreter import Interpreter
 from slow_node.node import build_interpreter
@@ -29,30 +30,31 @@ def running_interpreter(
     threads: int = 1,
     adapter: bool = True,
     memory_path: str = "",
-    budget_s: float = 8.0,
+    model: ModelOptions | None = None,
 ) -> Iterator[Interpreter]:
     """An interpreter and, where it may ask it, the embedded model's process. Raises `ConfigError`."""
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that the model ends with us
-    model = choose_model()
+    chosen = choose_model(model)
     server: Launched | None = None
     try:
-        if model.embedded and ask != "never":
-            server = embedded_server(model.port, threads, adapter=adapter, weights=model.weights)
+        if chosen.embedded and ask != "never":
+            server = embedded_server(chosen.port, threads, adapter=adapter, weights=chosen.weights)
             if server is None:
                 print("fastslow: the embedded model did not start; the intent parser answers alone", file=sys.stderr)
                 ask = "never"
         interpreter, memory, _ = build_interpreter(
             SlowConfig(
-                base_url=model.base_url,
-                model=model.name,
-                embedded=model.embedded,
+                base_url=chosen.base_url,
+                model=chosen.name,
+                embedded=chosen.embedded,
+                budget_s=chosen.budget_s,
+                max_tokens=chosen.max_tokens,
                 memory_path=memory_path,
                 ask=ask,
                 k=k,
                 parser=parser,
                 shipped_examples=not empty_bank,
-                adapter=adapter and not model.weights,
-                budget_s=budget_s,
+                adapter=adapter and not chosen.weights,
             )
         )
         try:

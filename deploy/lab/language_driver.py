@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.lab.episodes import has_choice, load, published, record, task_of
+from deploy.run.model_choice import KEY, choose_model
 from deploy.run.model_server import embedded_server
-from deploy.run.processes import choose_model
 from fast_node.policies.rule import rule_logits
 from fast_node.training.rollout import Driver, Fleet
 from schemas.driving.episode import held
@@ -104,7 +104,7 @@ def running_model(threads: int = 1) -> Iterator[Ask]:
     try:
         if chosen.embedded and server is None:
             raise ConfigError("the embedded model did not start: see `fastslow doctor`, or set OPENAI_API_KEY")
-        key = "" if chosen.embedded else os.environ["OPENAI_API_KEY"]
+        key = "" if chosen.embedded else os.environ.get(KEY, "")
         model = ChatModel(
             chosen.base_url, chosen.name, key, max_tokens=MAX_TOKENS_EMBEDDED if chosen.embedded else MAX_TOKENS
         )

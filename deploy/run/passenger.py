@@ -16,6 +16,7 @@ from schemas.runtime.process import FAILED, OK, UNAVAILABLE, USAGE
 from schemas.wire import topics
 from schemas.wire.codec import Fault
 from schemas.wire.messages import Command, Reply, Status
+from schemas.wire.text import plain
 
 _POLL_S = 0.01
 _BAD = ("refused", "failed", "expired", "superseded", "cancelled")
@@ -95,9 +96,9 @@ def _done(replies: list[Reply], wait: bool) -> bool:
 def _words(reply: Reply) -> Iterator[str]:
     yield reply.outcome
     if reply.say:
-        yield f": {reply.say}"
+        yield f": {plain(reply.say)}"
     if reply.why:
-        yield f" ({reply.why})"
+        yield f" ({plain(reply.why)})"
 
 
 def _short(value: float) -> str:
@@ -127,6 +128,6 @@ def status(*, port: int, as_json: bool) -> int:
         return OK
     for heartbeat in newest:
         metrics = "  ".join(f"{name} {_short(value)}" for name, value in heartbeat.metrics.items())
-        detail = f"  {heartbeat.detail}" if heartbeat.detail else ""
+        detail = f"  {plain(heartbeat.detail)}" if heartbeat.detail else ""
         print(f"{heartbeat.node:<6} {heartbeat.state:<9} pid {heartbeat.pid:<8}{metrics}{detail}")
     return OK

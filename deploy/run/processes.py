@@ -17,7 +17,8 @@ from platformdirs import user_data_path
 from deploy.run.launch import python_module
 from schemas.runtime.process import ConfigError
 from schemas.runtime.realtime import Mode
-from slow_node.llm.embedded import own_weights
+from slow_node.config import BUDGET_S
+from slow_node.llm.endpoint import where
 
 TCP_HOST = "127.0.0.1"
 DEFAULT_PORT = 7447
@@ -62,6 +63,26 @@ class Model:
     port: int = 0
     weights: str = ""
     """A GGUF file in the place of the shipped model."""
+    budget_s: float = BUDGET_S
+    max_tokens: int = 0
+    """Of an answer, thoughts included; 0: as `slow_node.llm.model` has it."""
+
+    @property
+    def where(self) -> str:
+        """For people: which model is asked where, and whether words leave the machine for it."""
+        if self.embedded:
+            return f"{self.name}, embedded (no word leaves this machine)"
+        return where(self.base_url, self.name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelOptions:
+    """What a user may say about the language model; None: as the environment has it, or the default."""
+
+    name: str | None = None
+    base_url: str | None = None
+    budget_s: float | None = None
+    max_tokens: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +113,7 @@ class RunOptions:
     """Where the page is served that shows the run, on loopback; None: there is none; 0: any free port."""
     record: Path | None = None
     """Where the recording goes; None: `RECORDING` in the run's folder."""
+    model: ModelOptions = ModelOptions()
     record_max_mb: float = 300.0
     """For the recordings of all runs in that folder together; the oldest are removed."""
 
@@ -114,23 +136,6 @@ def free_port_from(port: int) -> int:
             return free_port()
         found: int = probe.getsockname()[1]
         return found
-
-
-def choose_model() -> Model:
-    """The endpoint that the environment names, or else the embedded model on a free loopback port.
-
-    Raises `ConfigError` where `FASTSLOW_GGUF` names no GGUF file.
-    """
-    if os.environ.get("OPENAI_API_KEY"):
-        return Model(
-            base_url=os.environ.get("OPENAI_BASE_URL") or "https://api.openai.com/v1",
-            name=os.environ.get("OPENAI_MODEL") or "gpt-4o-mini",
-            embedded=False,
-        )
-    weights = os.environ.get("FASTSLOW_GGUF", "")
-    name = own_weights(Path(weights)).stem if weights else "SmolLM2-135M-Instruct"
-    port = free_port()
-    return Model(base_url=f"http://{TCP_HOST}:{port}/v1", name=name, embedded=True, port=port, weights=weights)
 
 
 def road_of(spec: str) -> dict[str, Any]:
@@ -203,6 +208,8 @@ def process_table(options: RunOptions, model: Model, sockets: Path, folder: Path
         "api_key_env": "" if model.embedded else "OPENAI_API_KEY",
         "embedded": model.embedded,
         "adapter": not model.weights,
+        "budget_s": model.budget_s,
+        "max_tokens": model.max_tokens,
         "memory_path": str(data_folder() / "memory.sqlite"),
     }
     table = [

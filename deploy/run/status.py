@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from schemas.runtime.clock import NS
 from schemas.wire.messages import Action, Directive, Event, EventKind, Observation, Reply, Status
+from schemas.wire.text import plain
 
 _OVER = ("fulfilled", "expired", "superseded", "cancelled", "failed")
 _BY_REPLY = (*_OVER, "issued")
@@ -37,9 +38,9 @@ class Live:
     def reply(self, reply: Reply) -> str:
         """The line for a reply."""
         self._over(reply.outcome, reply.directive_id)
-        said = f': "{reply.say}"' if reply.say else ""
-        why = f" ({reply.why})" if reply.why else ""
-        return f'  {reply.outcome:<11} "{_short(reply.text)}"{said}{why}'
+        said = f': "{plain(reply.say)}"' if reply.say else ""
+        why = f" ({plain(reply.why)})" if reply.why else ""
+        return f'  {reply.outcome:<11} "{plain(reply.text, 70)}"{said}{why}'
 
     def event(self, event: Event) -> str | None:
         """The line for an event; None for one that a reply tells as well."""
@@ -54,7 +55,7 @@ class Live:
             parts.append(f"vehicle {event.vehicle}")
         if event.duration_s:
             parts.append(f"for {event.duration_s:.1f} s")
-        detail = f" — {event.detail}" if event.detail else ""
+        detail = f" — {plain(event.detail)}" if event.detail else ""
         return f"  {kind:<11} {', '.join(parts)}{detail}"
 
     def _over(self, what: str, directive_id: int | None) -> None:
@@ -100,7 +101,3 @@ def happened(directives: Mapping[str, int], delayed_by: Mapping[str, int]) -> st
         f"{count} {kind.replace('_', ' ')}{by if kind == EventKind.DELAYED else ''}"
         for kind, count in directives.items()
     )
-
-
-def _short(text: str, most: int = 70) -> str:
-    return text if len(text) <= most else text[: most - 1] + "…"

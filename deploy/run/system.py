@@ -12,11 +12,11 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
+from deploy.run.model_choice import choose_model
 from deploy.run.processes import (
     TCP_HOST,
     Process,
     RunOptions,
-    choose_model,
     data_folder,
     free_port,
     listener_of,
@@ -33,6 +33,7 @@ from schemas.runtime.process import CONFIG, FAILED, OK, TRY_AGAIN, ConfigError
 from schemas.runtime.realtime import trial
 from schemas.wire import topics
 from schemas.wire.messages import Command, Status
+from schemas.wire.text import plain
 
 STEP_S = 0.05
 OVERTIME_S = 5.0
@@ -52,14 +53,14 @@ def run_system(
     port = options.port or free_port()
     try:
         data_folder().mkdir(parents=True, exist_ok=True)
-        model = choose_model()
+        model = choose_model(options.model)
         road_of(options.scenario)  # a missing file is told before there is a run
         if options.record:
             _try_to_write(options.record)
         with open_bus(BusConfig(mode="router", listen=router_endpoints(sockets, port))) as bus:
             folder = new_run_folder()
             rows = process_table(options, model, sockets, folder) if table is None else table
-            return _Run(options, port, bus, rows, policy, folder).to_its_end()
+            return _Run(options, port, bus, rows, policy, folder, model.where).to_its_end()
     except BusError as error:
         if "in use" not in str(error):
             print(f"fastslow: cannot listen on {TCP_HOST}:{port}: {error}", file=sys.stderr)
@@ -108,11 +109,14 @@ class _Run:
         table: tuple[Process, ...],
         policy: RestartPolicy | None,
         folder: Path,
+        asked: str,
     ) -> None:
+        """asked: which language model, and whether words leave the machine for it."""
         self._options, self._port, self._bus = options, port, bus
         self._folder = folder
         self._log = open(self._folder / "supervisor.jsonl", "a", encoding="utf-8")  # noqa: SIM115 - as long as the run
         self._out = sys.stderr if options.as_json else sys.stdout
+        self._asked = asked
         self._supervisor = Supervisor(table, self._folder, self._notice, policy)
         self._live = Live()
         self._spoken_for_s = 0.0
@@ -136,6 +140,8 @@ class _Run:
             f'logs in {self._folder}/; speak to it with: fastslow say "..."'
             f"{'' if self._port == 7447 else f' --port {self._port}'}"
         )
+        if "slow" in supervisor.states:
+            self._print(f"fastslow: the slow node asks {self._asked}")
         with catch_signals(supervisor.kill) as signals:
             try:
                 code = None
@@ -173,7 +179,7 @@ class _Run:
         json.dump({"t_ns": time.monotonic_ns(), "node": "supervisor", "event": "notice", "detail": line}, self._log)
         self._log.write("\n")
         self._log.flush()
-        self._print(f"  {line}")
+        self._print(f"  {plain(line)}")
 
     def _unready(self) -> str:
         return ", ".join(name for name, state in self._supervisor.states.items() if state in ("waiting", "starting"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import unicodedata
 from typing import Any, TypeVar
 
 import msgspec
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.wire.messages import ROW_COLUMNS, ROW_LAYOUT, SCHEMA_VERSION, Command, Message, Observation
+from schemas.wire.text import plain
 from schemas.wire.topics import MAX_COMMAND_CHARS, MAX_MESSAGE_BYTES, TOPICS, Topic
 
 M = TypeVar("M", bound=Message)
@@ -122,6 +124,6 @@ def decode_command(payload: bytes, *, fallback_id: int, epoch: int, now_ns: int)
         raise Fault("the command is empty")
     if len(text) > MAX_COMMAND_CHARS:
         raise Fault(f"the command has {len(text)} characters; {MAX_COMMAND_CHARS} is the most")
-    if any(ord(c) < 32 and c not in "\t\n\r" for c in text):
+    if any(unicodedata.category(c) == "Cc" and c not in "\t\n\r" for c in text):
         raise Fault("the command contains control characters; plain text is needed")
-    return msgspec.structs.replace(command, text=" ".join(text.split()))
+    return msgspec.structs.replace(command, text=plain(text))

@@ -26,6 +26,7 @@ _BLOCK = re.compile(
     rf"<({_MARKS})>.*?</\1>|\[THINK\].*?\[/THINK\]|◁think▷.*?◁/think▷|<\|channel>\s*thought.*?<channel\|>",
     re.IGNORECASE | re.DOTALL,
 )
+_ENDS = re.compile(r"<\|(?:return|end|im_end|eot_id)\|>\s*\Z")
 _ANOTHER = re.compile(r'\{\s*"')
 _SECRET = re.compile(r"\b(?:sk|pk|gsk|xai|nvapi|hf|key)[-_][\w*.-]{6,}|(?<=Bearer )\S+", re.IGNORECASE)
 _TITLE = re.compile(r"<title[^>]*>(.*?)</title>", re.IGNORECASE | re.DOTALL)
@@ -116,7 +117,7 @@ def split_thoughts(content: str) -> tuple[str, str]:
     if begun is not None:
         thoughts.append(rest[begun.start() :])
         rest = rest[: begun.start()]
-    return "\n".join(thought.strip() for thought in thoughts), rest.strip()
+    return "\n".join(thought.strip() for thought in thoughts), _ENDS.sub("", rest).strip()
 
 
 def json_object(text: str) -> dict[str, Any]:

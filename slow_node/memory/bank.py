@@ -81,10 +81,16 @@ class Example:
         )
 
 
+def wordless(slots: Slots) -> Slots:
+    """The slots without a model's own words: what one model has said is never shown to another as its own turn."""
+    return slots.model_copy(update={"reasoning": "", "say": ""})
+
+
 def experience(
     command: str, scene: str, slots: Slots, outcome: str, took_s: float = 0.0, min_ttc_s: float = INF
 ) -> Example:
     """A decision and what came of it, this once. What the passenger gave up has neither come true nor failed."""
+    slots = wordless(slots)
     came_true = outcome.startswith("fulfilled")
     given_up = outcome.startswith(GIVEN_UP)
     return Example(
@@ -316,7 +322,13 @@ class Memory:
             (self._embedder.name,),
         ).fetchall()
         self._examples = [
-            Example(c, s, Slots.model_validate_json(j), o, took, INF if ttc is None else ttc, good, bad, trouble, id=i)
+            Example(c, s, _slots(j, o), o, took, INF if ttc is None else ttc, good, bad, trouble, id=i)
             for c, s, j, o, took, ttc, good, bad, trouble, i, _ in rows
         ]
         self._vectors = np.frombuffer(b"".join(r[-1] for r in rows), np.float32).reshape(-1, DIMENSION)
+
+
+def _slots(stored: str, outcome: str) -> Slots:
+    """Banks of earlier versions have kept a model's words."""
+    slots = Slots.model_validate_json(stored)
+    return slots if outcome == SHIPPED else wordless(slots)

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import json
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from schemas.wire.text import plain
 
 Outcome = Literal["directive", "refused", "out_of_scope", "unclear"]
 Speed = Literal["faster", "slower", "keep", "stop", "none"]
 LaneSlot = Literal["left", "right", "leftmost", "rightmost", "keep", "none"]
 Gap = Literal["closer", "farther", "keep", "none"]
 
-MAX_REASONING_CHARS = 80
+MAX_REASONING_CHARS, MAX_WORDS_CHARS = 80, 300
 FAR_OVER_LIMIT = 1.5
 """A named speed up to this multiple of the limit is clamped to the limit; a higher one is refused."""
 NO_DECISION = {"reasoning", "say", "language"}
 """Fields that change nothing about what the car does."""
+
+
+Words = Annotated[str, AfterValidator(lambda text: plain(text, MAX_WORDS_CHARS))]
+"""A model's, which people will see: on one line, and cut off where it is too long."""
 
 
 class Slots(BaseModel):
@@ -27,7 +33,7 @@ class Slots(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    reasoning: str = Field(default="", max_length=400)
+    reasoning: Words = ""
     outcome: Outcome
     speed: Speed = "none"
     target_speed_mps: float | None = Field(default=None, ge=0, le=1000, allow_inf_nan=False)
@@ -36,7 +42,7 @@ class Slots(BaseModel):
     headway_s: float | None = Field(default=None, ge=0, le=60, allow_inf_nan=False)
     overtake: bool | None = None
     cancel: bool = False
-    say: str = Field(default="", max_length=300)
+    say: Words = ""
     language: str = Field(default="en", exclude=True)
     """Of the passenger's sentence, for our reply; told by the intent parser, never by the model."""
     to_lane: int | None = Field(default=None, exclude=True)
@@ -66,7 +72,7 @@ class Slots(BaseModel):
         return json.dumps(self.model_dump(exclude_defaults=True), ensure_ascii=False, separators=(",", ":"))
 
 
-ANSWERED = frozenset(Slots.model_fields) - {"language"}
+ANSWERED = frozenset(Slots.model_fields) - {"language", "to_lane"}
 """What is read of a model's answer."""
 
 

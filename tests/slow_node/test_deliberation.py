@@ -275,6 +275,25 @@ def test_an_answer_to_a_scene_older_than_ten_seconds_is_refused() -> None:
     assert "too late" in ride.replies[-1].why
 
 
+def test_an_answer_of_a_model_that_may_be_slow_is_planned_for_the_road_as_it_is_then() -> None:
+    ride = Ride(budget_s=30.0)
+    ride.look(2)
+    call = next(e for e in ride.hear() if isinstance(e, Interpret))
+    ride.look(1, after_s=25.0)
+    issued = ride.deliberation.on_interpretation(call.id, Interpretation(LEFT), ride._now())
+    assert [d.target_lane for d in directives(issued)] == [0]
+
+
+def test_an_answer_that_took_longer_than_the_budget_allows_is_refused() -> None:
+    ride = Ride(budget_s=30.0)
+    ride.look(1)
+    call = next(e for e in ride.hear() if isinstance(e, Interpret))
+    ride.look(1, after_s=33.0)
+    (refusal,) = ride.deliberation.on_interpretation(call.id, Interpretation(LEFT), ride._now())
+    assert isinstance(refusal, Reply)
+    assert "too late" in refusal.why
+
+
 def test_the_road_is_checked_before_the_age_of_the_scene() -> None:
     ride = Ride()
     ride.look(0)

@@ -159,6 +159,10 @@ def test_a_command_of_the_greatest_length_is_heard():
     assert heard(b" " + b"x" * MAX_COMMAND_CHARS + b"\n").text == "x" * MAX_COMMAND_CHARS
 
 
+def test_marks_that_turn_the_direction_of_reading_are_left_out_of_a_command():
+    assert heard("slower\u202e, faster\u2066".encode()).text == "slower, faster"
+
+
 @pytest.mark.parametrize(
     ("payload", "why"),
     [
@@ -166,6 +170,8 @@ def test_a_command_of_the_greatest_length_is_heard():
         (b" \t\r\n", "the command is empty"),
         (b"x" * 501, "the command has 501 characters; 500 is the most"),
         (b"fast\x1fer", "the command contains control characters; plain text is needed"),
+        (b"fast\x7fer", "the command contains control characters; plain text is needed"),
+        ("fast\x9b2Jer".encode(), "the command contains control characters; plain text is needed"),
         (b"\x90", NOT_TEXT),
         (b"\x80", NOT_TEXT),
         (b"\x8f\xff", NOT_TEXT),

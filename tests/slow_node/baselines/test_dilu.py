@@ -226,5 +226,6 @@ def test_the_endpoint_of_the_environment_is_asked_for_text(endpoint: list[dict[s
 def test_an_endpoint_that_is_not_there_ends_the_drive_with_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OPENAI_API_KEY", "any")
     monkeypatch.setenv("OPENAI_BASE_URL", "http://127.0.0.1:9/v1")
+    monkeypatch.setenv("OPENAI_MODEL", "some-model")
     with running_model() as ask, pytest.raises(ConfigError, match="cannot be reached"):
         ask(build_prompt("Your lane: clear.", []))

@@ -42,7 +42,7 @@ def chat(message: dict[str, object], finish: str = "stop", **more: object) -> Re
 def openai_reasoning(body: Body) -> Reply:
     """gpt-5 and the o series: another name for the bound, no temperature but their own."""
     if "max_tokens" in body:
-        say = "Unsupported parameter: 'max_tokens' is not supported with this model. Use 'max_completion_tokens' instead."
+        say = "Unsupported parameter: 'max_tokens' is not supported. Use 'max_completion_tokens' instead."
         return replied(400, {"error": {"message": say, "param": "max_tokens", "code": "unsupported_parameter"}})
     if body.get("temperature", 1) != 1:
         say = "Unsupported value: 'temperature' does not support 0 with this model. Only the default (1) is supported."

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.run.processes import RunOptions, choose_model, process_table
+from deploy.run.model_choice import choose_model
+from deploy.run.processes import RunOptions, process_table
 from schemas.runtime.process import ConfigError
 from slow_node.llm.embedded import EmbeddedConfig, own_weights
 

@@ -32,6 +32,21 @@ def test_a_like_command_with_the_same_decision_is_the_same_experience(memory: Me
     assert (merged.took_s, merged.fulfilled, merged.failed) == (30.0, 1, 1)
 
 
+def test_what_a_model_has_said_is_never_a_turn_of_another_ones_prompt(memory: Memory, tmp_path: Path) -> None:
+    said = SLOW.model_copy(update={"reasoning": "as the first model thought", "say": "as the first model said"})
+    memory.learn("take the scenic pace", "two-way", said, "fulfilled")
+    old = Memory(HashedEmbedder(), str(tmp_path / "bank.sqlite"), shipped=None)
+    old.learn("take the scenic pace", "two-way", SLOW, "fulfilled")
+    old._db.execute("UPDATE experience SET slots = ?", (said.compact(),))  # as earlier versions have kept it
+    old._db.commit()
+    old._load()
+    for bank in (memory, old):
+        prompt = build_prompt("scenic", "two-way", bank.nearest("take the scenic pace", 1), {}, short=False)
+        assert '"speed":"slower"' in prompt[2]["content"]
+        assert "first model" not in str(prompt)
+    old.close()
+
+
 def test_the_newest_reading_of_the_same_words_counts(memory: Memory) -> None:
     memory.learn("take the scenic pace", "two-way", FAST, "fulfilled")
     memory.learn("take the scenic pace", "two-way", SLOW, "fulfilled")
