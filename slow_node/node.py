@@ -18,6 +18,7 @@ from slow_node.deliberation import Abandon, Deliberation, Effect, Interpret, Rem
 from slow_node.interpreter import Interpretation, Interpreter, Style
 from slow_node.journal import Diary
 from slow_node.llm.embedding import load_embedder
+from slow_node.llm.endpoint import is_loopback
 from slow_node.llm.model import MAX_TOKENS, MAX_TOKENS_SHORT, ChatModel
 from slow_node.memory.bank import Memory
 from slow_node.memory.examples import EXAMPLES
@@ -180,7 +181,7 @@ def build_interpreter(config: SlowConfig) -> tuple[Interpreter, Memory, ChatMode
     embedder = load_embedder()
     memory = Memory(embedder, config.memory_path, EXAMPLES if config.shipped_examples else None)
     key = "" if config.embedded else os.environ.get(config.api_key_env, "")
-    if not key and not config.embedded:
+    if not key and not config.embedded and not is_loopback(config.base_url):
         log(NAME, "key", f"{config.api_key_env} is not set; calling {config.base_url} without a key")
     most = config.max_tokens or (MAX_TOKENS_SHORT if config.embedded else MAX_TOKENS)
     model = ChatModel(config.base_url, config.model, key, max_tokens=most)

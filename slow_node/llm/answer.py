@@ -126,7 +126,8 @@ def json_object(text: str) -> dict[str, Any]:
     Raises ValueError, in words that a model can act on, for none, for a broken one, and for several that differ: nobody
     can tell which of them is meant.
     """
-    decoder, found, at = json.JSONDecoder(), [], text.find("{")
+    # Not strict: models write line breaks into strings.
+    decoder, found, at = json.JSONDecoder(strict=False), [], text.find("{")
     end, tries = 0, 0
     while at >= 0 and tries < 50:
         tries += 1
@@ -217,7 +218,7 @@ def _said_aside(thoughts: str) -> str:
 
 def _is_object(text: str) -> bool:
     try:
-        return text.startswith("{") and isinstance(json.loads(text), dict)
+        return text.startswith("{") and isinstance(json.loads(text, strict=False), dict)
     except (ValueError, RecursionError):
         return False
 
