@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from fast_node.choice import SOURCES, choose, comfortable_mps, hold_off, narrow
 from fast_node.config import FastConfig
@@ -19,6 +20,20 @@ from schemas.wire.messages import POLICY_ACTIONS, Action, Closure, Directive, Ev
 
 _REASONS = tuple(Reason)
 """By the mask's number less one."""
+Table = list[list[float]]
+"""(V, 9), as `Observation.rows`, of the tracks."""
+Lanes = list[tuple[float, ...]]
+"""As `lane_table` has them."""
+
+
+class Choice(NamedTuple):
+    """What is done at a tick, and who has chosen it."""
+
+    meta: int
+    source: str
+    why: str = ""
+    """What has failed."""
+    probabilities: tuple[float, ...] = ()
 
 
 class FastNode:
@@ -55,13 +70,46 @@ class FastNode:
             ), []
 
     def _step(self, observation: Observation, directive: Directive | None, now_ns: int) -> tuple[Action, list[Event]]:
-        reasons, vehicle = [0] * 6, [-1] * 6
         lanes = lane_table(observation.lanes)
         table = self._tracks.follow(observation, rows_of(observation).tolist(), lanes)
-        near = [0] * (3 * len(lanes))
         if observation.epoch != self._epoch:
             self._epoch = observation.epoch
             self._decided_tick, self._held, self._left = -(10**9), int(MetaAction.CRUISE), (NOBODY, 0)
+        near, reasons, closed, cap = self._close(observation, table, lanes)
+        intent, events = self._coordination.intent(observation, table, lanes, directive, now_ns)
+        narrowed, cap = self._narrow(observation, table, lanes, near, reasons, intent, cap)
+        choice = self._choose(observation, table, lanes, intent, cap, narrowed)
+        if choice.source == "fallback":
+            choice = choice._replace(meta=fallback(reasons, lanes, observation.target_lane))
+        self.counts["fallback"] += choice.source == "fallback"
+        self.counts["masked"] += choice.source == "masked"
+        self.counts["braked"] += choice.meta == MetaAction.EMERGENCY_BRAKE
+        why = choice.why
+        if not why and choice.meta == MetaAction.EMERGENCY_BRAKE:
+            why = "; ".join(sorted({c.reason for c in closed}))
+        events += self._coordination.report(observation, intent, closed, choice.meta)
+        return Action(
+            epoch=observation.epoch,
+            stamp_ns=now_ns,
+            answers_tick=observation.tick,
+            meta_action=int(choice.meta),
+            source=choice.source,  # type: ignore[arg-type]
+            speed_goal_mps=intent.speed_mps,
+            directive_id=directive.id if directive else None,
+            budget_ns=round(self._config.budget_ms * 1e6),
+            closed=closed,
+            why=why,
+            probabilities=choice.probabilities,
+            speed_cap_mps=cap if math.isfinite(cap) else None,
+            style=intent.style,
+            turn_signal=signal(observation, intent),
+        ), events
+
+    def _close(
+        self, observation: Observation, table: Table, lanes: Lanes
+    ) -> tuple[list[int], list[int], tuple[Closure, ...], float]:
+        """The neighbours, the mask's reasons, the same as published, and its speed cap."""
+        near, reasons, vehicle = [0] * (3 * len(lanes)), [0] * 6, [-1] * 6
         cap = close_actions(
             table,
             lanes,
@@ -79,7 +127,19 @@ class FastNode:
             for a in range(POLICY_ACTIONS)
             if reasons[a] != OPEN
         )
-        intent, events = self._coordination.intent(observation, table, lanes, directive, now_ns)
+        return near, reasons, closed, cap
+
+    def _narrow(
+        self,
+        observation: Observation,
+        table: Table,
+        lanes: Lanes,
+        near: list[int],
+        reasons: list[int],
+        intent: Intent,
+        cap: float,
+    ) -> tuple[list[int], float]:
+        """The reasons with the intent's, and the cap with that of a comfortable ride."""
         cap = min(
             cap,
             comfortable_mps(
@@ -109,55 +169,27 @@ class FastNode:
             intent.headway_s,
             cap,
         )
-        source: str
-        probabilities: tuple[float, ...] = ()
+        return narrowed, cap
+
+    def _choose(
+        self, observation: Observation, table: Table, lanes: Lanes, intent: Intent, cap: float, reasons: list[int]
+    ) -> Choice:
+        """What the policy chooses of what is open, or holds; its failure is the fallback's source, and why."""
         try:
-            logits = self._logits(observation, table, lanes, intent, cap, narrowed).tolist()
+            logits = self._logits(observation, table, lanes, intent, cap, reasons).tolist()
             if not math.isfinite(sum(logits)):
                 raise FloatingPointError("non-finite logits")
             probabilities = softmax(logits)
             due = observation.tick - self._decided_tick >= self._config.decision_ticks
-            meta, by = choose(logits, narrowed, due, self._held)
+            meta, by = choose(logits, reasons, due, self._held)
             if due:
                 self._decided_tick, self._held = observation.tick, held(meta)
-            source, why = SOURCES[by], ""
         except Exception as error:  # whatever the policy does, the car gets an answer
-            meta, source, why = (
-                fallback(reasons, lanes, observation.target_lane),
-                "fallback",
-                f"{type(error).__name__}: {error}"[:120],
-            )
-            self.counts["fallback"] += 1
-        self.counts["masked"] += source == "masked"
-        self.counts["braked"] += meta == MetaAction.EMERGENCY_BRAKE
-        if not why and meta == MetaAction.EMERGENCY_BRAKE:
-            why = "; ".join(sorted({c.reason for c in closed}))
-        events += self._coordination.report(observation, intent, closed, meta)
-        return Action(
-            epoch=observation.epoch,
-            stamp_ns=now_ns,
-            answers_tick=observation.tick,
-            meta_action=int(meta),
-            source=source,  # type: ignore[arg-type]
-            speed_goal_mps=intent.speed_mps,
-            directive_id=directive.id if directive else None,
-            budget_ns=round(self._config.budget_ms * 1e6),
-            closed=closed,
-            why=why,
-            probabilities=probabilities,
-            speed_cap_mps=cap if math.isfinite(cap) else None,
-            style=intent.style,
-            turn_signal=signal(observation, intent),
-        ), events
+            return Choice(MetaAction.EMERGENCY_BRAKE, "fallback", f"{type(error).__name__}: {error}"[:120])
+        return Choice(meta, SOURCES[by], "", probabilities)
 
     def _logits(
-        self,
-        observation: Observation,
-        table: list[list[float]],
-        lanes: list[tuple[float, ...]],
-        intent: Intent,
-        cap: float,
-        reasons: list[int],
+        self, observation: Observation, table: Table, lanes: Lanes, intent: Intent, cap: float, reasons: list[int]
     ) -> Array:
         return self._policy.logits(
             features(
@@ -191,7 +223,7 @@ def softmax(logits: list[float]) -> tuple[float, ...]:
     return tuple(weight / total for weight in weights)
 
 
-def fallback(reasons: list[int], lanes: list[tuple[float, ...]], target_lane: int) -> int:
+def fallback(reasons: list[int], lanes: Lanes, target_lane: int) -> int:
     """The rule that drives when the policy cannot: home from a borrowed lane, slower if need be, else hold."""
     if lanes[target_lane][LANE_WAY] < 0 and reasons[MetaAction.RIGHT] == OPEN:
         return MetaAction.RIGHT

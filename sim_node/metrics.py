@@ -227,7 +227,7 @@ class Recorder:
                 ttc = np.where(closing > CLOSING_MIN_MPS, gap / np.maximum(closing, CLOSING_MIN_MPS), TTC_CAP_S)
             self.min_ttc = np.where(a, np.minimum(self.min_ttc, ttc), self.min_ttc)
             if which is lane:
-                blocked = (gap < BLOCKED_S * speed) & (np.isfinite(gap))
+                led = (gap < BLOCKED_S * speed) & (np.isfinite(gap))
                 lead_mps = speed - closing
                 follows = a & (gap < HEADWAY_SIGHT_M) & (speed > 1.0)
                 self.headway += np.divide(gap, speed, out=np.zeros_like(gap), where=follows)
@@ -236,6 +236,7 @@ class Recorder:
         self.changes += a & changing & ~self.changing
         self.changing = np.where(a, changing, self.changing)
         self._watch(rows, accel, target_lane, previous_lane, a)
+        straight = ~changing & (target_lane == lane) & (ends[lane] - x > ENDS_M)
         settled_home = (lane == self.home) & (target_lane == self.home) & ~changing
         self.obedience.tick(rows, wish_lane, wish_speed, wish_headway, pass_id, settled_home, a, asked)
         if settled is not None:
@@ -246,18 +247,7 @@ class Recorder:
             self.in_lane += asked & there
             self.complied = np.where(asked & there & np.isnan(self.complied), self.obedience.since_s, self.complied)
         if wish_speed is not None:
-            free = (
-                ~changing
-                & (target_lane == lane)
-                & (ends[lane] - x > ENDS_M)
-                & ~(blocked & (lead_mps < wish_speed + SPEED_TOLERANCE_MPS))
-            )
-            off = np.abs(speed - wish_speed)
-            self.free = np.where(a & free, self.free + 1, np.where(a, 0, self.free))
-            self.off = np.where(a & (self.free <= 1), off, self.off)
-            could = asked & (self.free > (self.off / ADAPT_MPS2 + ADAPT_S) * self.hz)
-            self.could_speed += could
-            self.in_speed += could & (off <= SPEED_TOLERANCE_MPS)
+            self._obey(wish_speed, speed, straight & ~(led & (lead_mps < wish_speed + SPEED_TOLERANCE_MPS)), a, asked)
         if way_open is not None:
             self.could_lane += asked & way_open
         if overridden is not None:
@@ -270,6 +260,16 @@ class Recorder:
             self.collided |= new
             self.min_ttc = np.where(new, 0.0, self.min_ttc)
             self.struck |= new & _struck(rows, changing)
+
+    def _obey(self, wish_mps: Floats, speed: Floats, free: Bools, a: Bools, asked: Bools) -> None:
+        """Count the ticks at which the wished speed could be driven, and those at which it is. free: nothing is in the
+        way of it."""
+        off = np.abs(speed - wish_mps)
+        self.free = np.where(a & free, self.free + 1, np.where(a, 0, self.free))
+        self.off = np.where(a & (self.free <= 1), off, self.off)
+        could = asked & (self.free > (self.off / ADAPT_MPS2 + ADAPT_S) * self.hz)
+        self.could_speed += could
+        self.in_speed += could & (off <= SPEED_TOLERANCE_MPS)
 
     def _watch(self, rows: Rows, accel: Floats, target_lane: Ints, previous_lane: Ints, a: Bools) -> None:
         """Count flips of the target lane, signs of the acceleration, and following too closely."""

@@ -115,7 +115,7 @@ def read_traces(folder: Path, load: Load, first: int, ends: int, samples: Sample
     Raises `MeasurementError` if there are none.
     """
     sim = trace_of(folder / "sim.trace").tolist()
-    fast = {(row[0], row[1]): row for row in trace_of(folder / "fast.trace").tolist()}
+    fast = {tuple(row[:2]): row for row in trace_of(folder / "fast.trace").tolist()}
     paced = samples.paced.setdefault(load, Paced())
     late = paced.late.setdefault("ours", [])
     took: list[int] = []

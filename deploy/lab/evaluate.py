@@ -65,6 +65,13 @@ def evaluate_all(
     if checkpoint and not set(agents) & {own, *(USE_OURS if own == "ours" else ())}:
         raise ConfigError(f"{checkpoint.name} drives as {own}, not as {', '.join(agents)}: choose --agent {own}")
     seeds = range(first_seed, first_seed + episodes)
+    conditions: dict[str, Any] = {
+        "directive_at_s": directive_at_s,
+        "mask_preset": mask_preset,
+        "noise_m": noise_m,
+        "noise_mps": noise_mps,
+        "dropout": dropout,
+    }
     rows, unsurvived = [], {}
     for scenario in [find_scenario(spec) for spec in scenarios]:
         name = scenario.name
@@ -76,36 +83,29 @@ def evaluate_all(
             progress(f"{agent} on {name}" + ("" if wish_mps is None else f", {wish_mps:g} m/s wished"))
             more: dict[str, Any] = {}
             if agent in LANGUAGE and not is_policy:
-                if directive_at_s or mask_preset:
-                    raise ValueError(f"{agent} has its directive from the start, and no mask")
-                if noise_m or noise_mps or dropout:
-                    raise ValueError(f"{agent} sees everything as it is: leave noise and dropout out")
-                if film is not None:
-                    raise ValueError(f"{agent} drives otherwise each time: leave --video out")
+                _refuse_for_language(agent, conditions, film is not None)
                 results, more["llm"] = _drive_language(agent, road, seeds, directive, wish_mps)
             else:
-                conditions: dict[str, Any] = {
-                    "directive": directive,
-                    "wish_mps": wish_mps,
-                    "directive_at_s": directive_at_s,
-                    "mask_preset": mask_preset,
-                    "noise_m": noise_m,
-                    "noise_mps": noise_mps,
-                    "dropout": dropout,
-                }
                 who: str | Agent = behind_the_mask(agent) if is_policy else agent
                 if agent == BEST:
-                    more["order"] = best_order(road, **conditions)
+                    more["order"] = best_order(road, wish_mps=wish_mps, directive=directive, **conditions)
                     who = behind_the_mask(more["order"])
-                own_file = None if is_policy or agent == BEST else checkpoint
-                again = partial(drive, who, road, seeds, checkpoint=own_file, **conditions)
+                again = partial(
+                    drive,
+                    who,
+                    road,
+                    seeds,
+                    checkpoint=None if is_policy or agent == BEST else checkpoint,
+                    wish_mps=wish_mps,
+                    directive=directive,
+                    **conditions,
+                )
                 results = again()
                 if film is not None:
                     film({**place, "first_seed": first_seed, "directive_at_s": directive_at_s}, results, again)
             if each is not None:
                 each += [episode_of(place, seed, r) for seed, r in zip(seeds, results, strict=True)]
             died &= {i for i, r in enumerate(results) if r.collided}
-            good = sum(r.success for r in results)
             rows.append(
                 {
                     "agent": agent,
@@ -115,12 +115,8 @@ def evaluate_all(
                     "first_seed": first_seed,
                     "density": density,
                     "traffic": list(traffic),
-                    "noise_m": noise_m,
-                    "noise_mps": noise_mps,
-                    "dropout": dropout,
-                    "directive_at_s": directive_at_s,
-                    "mask_preset": mask_preset,
-                    "success_ci95": wilson95(good, episodes),
+                    **conditions,
+                    "success_ci95": wilson95(sum(r.success for r in results), episodes),
                     **_numbers(summarise(results)),
                     **more,
                 }
@@ -133,6 +129,16 @@ def evaluate_all(
         "rows": rows,
         "unsurvived": unsurvived,
     }
+
+
+def _refuse_for_language(agent: str, conditions: dict[str, Any], filmed: bool) -> None:
+    """Raise ValueError for what a driver of `LANGUAGE` does not know."""
+    if conditions["directive_at_s"] or conditions["mask_preset"]:
+        raise ValueError(f"{agent} has its directive from the start, and no mask")
+    if conditions["noise_m"] or conditions["noise_mps"] or conditions["dropout"]:
+        raise ValueError(f"{agent} sees everything as it is: leave noise and dropout out")
+    if filmed:
+        raise ValueError(f"{agent} drives otherwise each time: leave --video out")
 
 
 def _drive_language(

@@ -47,6 +47,8 @@ class Process:
 
 
 NEEDS_WAIT_S = 3.0
+SLOW_START_S = 120.0
+"""Where nothing is compiled yet, on a busy machine."""
 SHUTDOWN_ORDER = ("slow", "fast", "sim", "llm", "record")
 """Who thinks stops first; the car is driven until the road itself ends; all of it is recorded."""
 RECORDING = "recording.mcap"
@@ -222,47 +224,50 @@ def process_table(options: RunOptions, model: Model, sockets: Path, folder: Path
             critical=True,
             needs=("fast", "record"),
             finishes=True,
-            start_s=120.0,
-        ),  # where nothing is compiled yet, on a busy machine
+            start_s=SLOW_START_S,
+        ),
         Process(name="slow", argv=python_module("slow_node", slow), critical=False),
     ]
     if model.embedded:
-        table.insert(
-            0,
-            Process(
-                name="llm",
-                argv=python_module(
-                    "slow_node.llm.embedded",
-                    {"port": model.port, "threads": 1, "weights": model.weights, "adapter": not model.weights},
-                ),
-                critical=False,
-                probe_url=f"http://{TCP_HOST}:{model.port}/health",
-                # Its HTTP thread shares the processor with the inference, at a low priority: slow is not dead.
-                heartbeat_s=10.0,
-                start_s=120.0,
-                nice=10,
-            ),
-        )
+        table.insert(0, _embedded(model))
     if options.cockpit_port is not None:
-        page = {
-            "bus": {"mode": "client", "connect": [_socket(sockets, "bus")]},
-            "port": free_port_from(options.cockpit_port),  # the same after a restart, so that open pages find it again
-        }
-        table.append(
-            Process(
-                name="cockpit",
-                argv=python_module("deploy.cockpit", page),
-                critical=False,
-                # It has what the others leave of the processor: slow is not dead.
-                heartbeat_s=30.0,
-                start_s=120.0,
-                nice=10,
-            )
-        )
+        table.append(_cockpit(options.cockpit_port, sockets))
     if folder is not None:
         told = {"sim": sim, "fast": fast, "slow": slow}
         table.insert(0, _recorder(options, sockets, folder, told))
     return tuple(process for process in table if process.name not in options.without)
+
+
+def _embedded(model: Model) -> Process:
+    """Its HTTP thread shares the processor with the inference, at a low priority: slow is not dead."""
+    return Process(
+        name="llm",
+        argv=python_module(
+            "slow_node.llm.embedded",
+            {"port": model.port, "threads": 1, "weights": model.weights, "adapter": not model.weights},
+        ),
+        critical=False,
+        probe_url=f"http://{TCP_HOST}:{model.port}/health",
+        heartbeat_s=10.0,
+        start_s=SLOW_START_S,
+        nice=10,
+    )
+
+
+def _cockpit(port: int, sockets: Path) -> Process:
+    """It has what the others leave of the processor: slow is not dead."""
+    page = {
+        "bus": {"mode": "client", "connect": [_socket(sockets, "bus")]},
+        "port": free_port_from(port),  # the same after a restart, so that open pages find it again
+    }
+    return Process(
+        name="cockpit",
+        argv=python_module("deploy.cockpit", page),
+        critical=False,
+        heartbeat_s=30.0,
+        start_s=SLOW_START_S,
+        nice=10,
+    )
 
 
 def _recorder(options: RunOptions, sockets: Path, folder: Path, told: dict[str, dict[str, object]]) -> Process:
@@ -284,7 +289,11 @@ def _recorder(options: RunOptions, sockets: Path, folder: Path, told: dict[str, 
     }
     # It runs when nobody else wants to: slow is not dead.
     return Process(
-        name="record", argv=python_module("deploy.record", config), critical=False, heartbeat_s=30.0, start_s=120.0
+        name="record",
+        argv=python_module("deploy.record", config),
+        critical=False,
+        heartbeat_s=30.0,
+        start_s=SLOW_START_S,
     )
 
 

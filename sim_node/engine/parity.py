@@ -127,19 +127,10 @@ def _compare_stock(case: str, seed: int, seconds: float) -> list[Figures]:
         flags += theirs[2:4] != ours[2:4]
         if slow.vehicle.position[0] > ROAD_END_M.get(name, np.inf):
             break
-    crashes = sum(bool(v.crashed) for v in slow.road.vehicles)
+    of: dict[str, Any] = {"case": case, "ticks": ticks, "crashes": sum(bool(v.crashed) for v in slow.road.vehicles)}
     return [
-        Figures(
-            case=case,
-            variant="accelerated",
-            ticks=ticks,
-            crashes=crashes,
-            state=state,
-            observation=worst_observation,
-            reward=reward,
-            flags=flags,
-        ),
-        Figures(case=case, variant="batched", ticks=ticks, crashes=crashes, state=batched),
+        Figures(**of, variant="accelerated", state=state, observation=worst_observation, reward=reward, flags=flags),
+        Figures(**of, variant="batched", state=batched),
     ]
 
 
@@ -183,19 +174,10 @@ def _compare_ours(case: str, seed: int, seconds: float) -> list[Figures]:
         flags += theirs[2:4] != ours[2:4]
         if slow.ego.position[0] > scenario.end_x_m:
             break
-    crashes = sum(bool(v.crashed) for v in slow.road.vehicles)
+    of: dict[str, Any] = {"case": case, "ticks": ticks, "crashes": sum(bool(v.crashed) for v in slow.road.vehicles)}
     return [
-        Figures(
-            case=case,
-            variant="accelerated",
-            ticks=ticks,
-            crashes=crashes,
-            state=state,
-            observation=worst_observation,
-            reward=reward,
-            flags=flags,
-        ),
-        Figures(case=case, variant="batched", ticks=ticks, crashes=crashes, state=batched, observation=batched_rows),
+        Figures(**of, variant="accelerated", state=state, observation=worst_observation, reward=reward, flags=flags),
+        Figures(**of, variant="batched", state=batched, observation=batched_rows),
     ]
 
 
