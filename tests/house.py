@@ -16,7 +16,7 @@ from pathlib import Path
 LONG_FILE, LONG_BODY, BLOCK = 400, 60, 8
 """Lines: more are long; so many equal ones in a row, blank lines, imports and brackets apart, are a duplicate."""
 BARE = re.compile(
-    r"(?<![.\w])(?:row|ego|lead|follower|other|car|lane)\[\d\]"  # a column of a row
+    r"(?<![.\w])(?:row|ego|lead|follower|other|car|lane)\[[1-9]\]"  # a column of a row
     r"|\b(?:rows|lanes|table)\[[^][]*(?:\]\[|, )[1-9]\]"
 )
 """A column of a vehicle or a lane by its number instead of its name."""
