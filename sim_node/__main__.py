@@ -16,7 +16,7 @@ from schemas.runtime.bus import Bus, Subscription, ZenohBus, open_bus
 from schemas.runtime.clock import NS, MonotonicClock, Schedule
 from schemas.runtime.process import Heartbeat, Trace, load_config, log, run_node
 from schemas.runtime.realtime import claim, may_poll
-from schemas.wire.messages import Action, MetaAction, Observation
+from schemas.wire.messages import Action, Event, EventKind, MetaAction, Observation
 from schemas.wire.topics import ACTION, CONTROL, EVENT, OBSERVATION, STATUS
 from sim_node.config import SimConfig
 from sim_node.gate import Gate
@@ -140,6 +140,7 @@ class Loop:
         self._orders = bus.subscribe(CONTROL)
         self._paused = False
         self._answer: Action | None = None
+        self._strays, self._strays_told_ns = 0, 0
         self._shown = False
         """The present state is published, and its answer waits with it until the world goes on."""
 
@@ -182,6 +183,26 @@ class Loop:
         for event in self._node.take_events():
             self._bus.publish(EVENT, event)
         self._answer, self._shown = self._answers.wait(), True
+        self._tell_of_strays()
+
+    def _tell_of_strays(self) -> None:
+        """Once a second: that somebody sends actions which are nobody's answer."""
+        new, now_ns = self._answers.gate.strays - self._strays, time.monotonic_ns()
+        if new and now_ns - self._strays_told_ns >= NS:
+            self._strays, self._strays_told_ns = self._strays + new, now_ns
+            detail = f"{new} stray actions are not carried out: of another world or tick, or a second answer"
+            log("sim", "actuator", detail)
+            self._bus.publish(
+                EVENT,
+                Event(
+                    epoch=self._node.epoch,
+                    stamp_ns=now_ns,
+                    kind=EventKind.ACTUATOR,
+                    node="sim",
+                    tick=self._node.tick,
+                    detail=detail,
+                ),
+            )
 
     def _step(self) -> None:
         self._node.advance(self._answer, time.monotonic_ns())
@@ -201,7 +222,7 @@ class Loop:
             "age_p50_us": float(age_p50), "age_p99_us": float(age_p99), "skipped": self._schedule.skipped,
             "episodes": m.episodes, "holds": m.holds, "failsafes": m.failsafes, "passed": m.passed,
             "reached": m.reached, "struck": m.struck, "min_ttc_s": m.min_ttc_s,
-            "paused": float(self._paused),
+            "paused": float(self._paused), "refused": m.refused, "strays": gate.strays,
         }  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from schemas.driving.features import BOUND, FEATURES, N_ROWS, features
 from schemas.driving.intent import ANY_LANE, Intent
 from schemas.driving.road import HZ, X
 from schemas.wire.messages import POLICY_ACTIONS, Lane, MetaAction, Observation
-from sim_node import executor
+from sim_node import actuator, executor
 from sim_node.drawing import picture
 from sim_node.ego import EgoVehicle
 from sim_node.engine.accelerated import Accelerated
@@ -86,6 +86,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         hz: int = HZ,
         duration_s: float | str | None = "scenario",
         guard: Guard | None = None,
+        checked: bool = False,
         density: float = 1.0,
         traffic: Sequence[str] = (),
         noise_m: float = 0.0,
@@ -105,7 +106,9 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
             # highway-env would floor the quotient and let time drift.
             raise ValueError(f"decision_hz {decision_hz} does not divide {hz} ticks a second: use 1, 3, 5 or {hz}")
         self.scenario = scenario = scenario.varied(traffic, density)
-        self.guard = guard
+        self.guard, self._checked = guard, checked
+        self.refused = (actuator.ADMITTED, -1)
+        """Why the actuator did not carry out the last tick's action (`actuator.REASONS`), and for which car."""
         self._rows: NDArray[np.float32] | None = None
         self._seen: NDArray[np.float32] | None = None
         self._imperfect = (noise_m, noise_mps, dropout)
@@ -251,6 +254,12 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
 
     def tick(self, meta: int) -> None:
         """One tick of the world under one meta-action, without observing it."""
+        if self._checked:
+            lanes = self.published_lanes()
+            ys, ends = [lane.y_m for lane in lanes], [lane.end_m for lane in lanes]
+            ego, table = self.ego, self.rows().tolist()
+            meta, *why = actuator.check(table, ys, ends, meta, ego.target_lane, ego.previous_lane)
+            self.refused = (why[0], why[1])
         self.time += 1 / self.hz
         self._rows = self._seen = None
         self._simulate(meta)

@@ -41,6 +41,9 @@ class Gate:
         """From the publication until the action was applied; -1 where none was."""
         self.missed = 0
         """Observations without an answer in time."""
+        self.strays = 0
+        """Actions that the fast node cannot have meant: of another world, of a tick to come, a second one for the same
+        tick, or none that exists."""
         self.round_trips_ns: deque[int] = deque(maxlen=KEPT)
         """Of all first answers, those that came too late included."""
         self.ages_ns: deque[int] = deque(maxlen=KEPT)
@@ -58,7 +61,9 @@ class Gate:
 
     def arrived(self, action: Action, at_ns: int) -> None:
         """Take in an action. All but the first answer to the newest observation are without effect."""
-        if self.took_ns >= 0 or not answers(action, *self._asked):
+        epoch, tick = self._asked
+        if self.took_ns >= 0 or not answers(action, epoch, tick):
+            self.strays += action.epoch != epoch or action.answers_tick >= tick
             return
         self.took_ns = at_ns - self.published_ns
         self.round_trips_ns.append(self.took_ns)

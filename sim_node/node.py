@@ -10,8 +10,9 @@ import numpy as np
 
 from schemas.driving.episode import Ending
 from schemas.driving.measures import TTC_CAP_S
-from schemas.driving.road import LANE
+from schemas.driving.road import HZ, LANE
 from schemas.wire.messages import Action, Event, EventKind, MetaAction, Observation
+from sim_node.actuator import REASONS
 from sim_node.config import SimConfig
 from sim_node.env import ScenarioEnv
 from sim_node.gate import answers
@@ -35,6 +36,8 @@ class Metrics:
     """Ticks without an action that held the set-points."""
     failsafes: int = 0
     """Ticks without an action that braked."""
+    refused: int = 0
+    """Ticks in which the actuator did not carry out what was asked for."""
     episodes: int = 0
     collisions: int = 0
     struck: int = 0
@@ -77,6 +80,7 @@ class SimNode:
             noise_m=config.noise_m,
             noise_mps=config.noise_mps,
             dropout=config.dropout,
+            checked=True,
         )
         self._recorder = Recorder(self._env.scenario, 1, config.hz)
 
@@ -107,7 +111,7 @@ class SimNode:
         self._env.reset(seed=self._config.seed + self.metrics.episodes - self._first)
         self.metrics.episodes += 1
         self.epoch, self.tick, self.over = epoch, 0, ""
-        self._applied_tick, self._unanswered = -1, 0
+        self._applied_tick, self._unanswered, self._told_tick = -1, 0, -HZ
         self._recorder.restart(_YES)
         self._rows = self._env.rows()
 
@@ -155,9 +159,32 @@ class SimNode:
                 # The executor brakes with its gain times this difference: a gentle, jerk-bounded stop in lane.
                 ego.target_speed = max(0.0, float(ego.speed) - FAILSAFE_BRAKE_MPS2)
         self._env.tick(int(meta))
+        self._tell_of_the_actuator(meta, now_ns)
         self.tick += 1
         self._rows = self._env.rows()
         self._measure()
+
+    def _tell_of_the_actuator(self, asked: MetaAction, now_ns: int) -> None:
+        """Count what the actuator has not carried out; an event a second at most."""
+        why, vehicle = self._env.refused
+        if not why:
+            return
+        self.metrics.refused += 1
+        if self.tick - self._told_tick < HZ:
+            return
+        self._told_tick = self.tick
+        detail = f"{asked.name.lower().replace('_', ' ')} is not carried out: {REASONS[why]}"
+        self._events.append(
+            Event(
+                epoch=self.epoch,
+                stamp_ns=now_ns,
+                kind=EventKind.ACTUATOR,
+                node="sim",
+                tick=self.tick,
+                vehicle=vehicle,
+                detail=detail,
+            )
+        )
 
     def observation(self, now_ns: int) -> Observation:
         """What the ego sees at the current tick."""

@@ -67,6 +67,8 @@ class EpisodeResult:
     decisions_closed_by_wish: int
     ride_score: float
     """0 to 100; see `sim_node.ride`."""
+    actuator_ticks: int = 0
+    """In which the actuator did not carry out what was decided."""
 
     @property
     def lane_complied(self) -> bool:
@@ -152,6 +154,8 @@ def summarise(episodes: Sequence[EpisodeResult]) -> dict[str, float]:
         "avg_speed_asked_of": sum(asked),
         "override_share": weighted("override_share", ticks),
         "override_share_of": total,
+        **_share("actuator_share", count("actuator_ticks"), total),
+        "actuator_episodes": sum(e.actuator_ticks > 0 for e in episodes),
         "decisions": decisions,
         **_share("decisions_with_choice_share", count("decisions_with_choice"), decisions),
         **_share("decisions_closed_by_mask_share", count("decisions_closed_by_mask"), decisions),

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
-from deploy.lab.episodes import DIRECTIVES, Directive, Watch, Words, always, by_the_tick, record, task_of
+from deploy.lab.episodes import DIRECTIVES, Directive, Watch, Words, always, by_the_tick, reckless, record, task_of
 from fast_node.mask import PRESETS
 from fast_node.policies.attention import read_sidecar
 from fast_node.policies.load import OURS, load_policy
@@ -27,8 +28,11 @@ class Agent:
 
     about: str
     policy: str
-    """As `load_policy` takes it; "idm": highway-env's own driver; "brake": the emergency brake, held."""
+    """As `load_policy` takes it; "idm": highway-env's own driver; "brake": the emergency brake, held; "reckless": see
+    `episodes.reckless`."""
     masked: bool = False
+    checked: bool = False
+    """The actuator checks what it does, as it does behind the mask."""
 
 
 AGENTS: dict[str, Agent] = {
@@ -42,6 +46,8 @@ AGENTS: dict[str, Agent] = {
     "left": Agent("always wants left", "constant:left"),
     "right": Agent("always wants right", "constant:right"),
     "brake": Agent("stops at once", "brake"),
+    "reckless": Agent("turns towards the nearest car at full speed; the actuator checks it", "reckless", checked=True),
+    "random-checked": Agent("draws an action every second; the actuator checks it", "random:0", checked=True),
     "random": Agent("draws an action every second", "random:0"),
     "random-masked": Agent("the same, behind the mask", "random:0", masked=True),
     **{f"{name}-bare": Agent(f"{name.upper()} as published", f"{name}-bare") for name in BASELINES},
@@ -51,6 +57,8 @@ AGENTS: dict[str, Agent] = {
     },
 }
 """What drives, by name."""
+WORDLESS = ("idm", "brake", "reckless")
+"""What is no policy: it is not asked with a policy's input."""
 USE_OURS = ("ours-unmasked", "rule", "random-masked")
 """Those that a checkpoint of ours changes, too: it brings the mask's preset."""
 LANGUAGE: dict[str, str] = {
@@ -106,16 +114,19 @@ def drive(
     name, who = (agent, AGENTS[agent]) if isinstance(agent, str) else ("", agent)
     own = trained_as(checkpoint) if checkpoint else None
     replaced = checkpoint if own == name or (own == "ours" and who.policy == OURS) else None
-    policy = load_policy("constant:cruise" if who.policy in ("idm", "brake") else str(replaced or who.policy))
+    policy = load_policy("constant:cruise" if who.policy in WORDLESS else str(replaced or who.policy))
     preset = mask_preset or (load_policy(str(checkpoint)) if own == "ours" else policy).mask_preset
-    world = Batched(scenario, len(seeds), 0, ego="idm" if who.policy == "idm" else "executor")
+    kind: Literal["idm", "executor"] = "idm" if who.policy == "idm" else "executor"
+    world = Batched(scenario, len(seeds), 0, ego=kind, actuator=who.masked or who.checked)
     sense = senses(seeds, noise_m, noise_mps, dropout)
     fleet = Fleet(world, task_of(scenario, preset), masked=who.masked, sense=sense)
     for i, seed in enumerate(seeds):
         world.load(i, scenario.spawn(streams(seed)[0]))
     words = Words(fleet, scenario, seeds, directive, directive_at_s, wish_mps)
     driver = None
-    if who.policy in ("idm", "brake"):
+    if who.policy == "reckless":
+        step = reckless(fleet)
+    elif who.policy in WORDLESS:
         step = always(fleet, MetaAction.EMERGENCY_BRAKE if who.policy == "brake" else MetaAction.CRUISE)
     else:
         driver = Driver(fleet, policy.logits)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -14,7 +15,7 @@ from fast_node.coordination import ASSERTIVE_HEADWAY_S
 from fast_node.mask import OPEN
 from fast_node.training.rollout import Driver, Fleet, Task
 from schemas.driving.features import Array
-from schemas.driving.intent import ANY_LANE
+from schemas.driving.intent import ANY_LANE, ASSERTIVE
 from schemas.driving.road import (
     AGAINST_MPS,
     DECISION_TICKS,
@@ -24,6 +25,7 @@ from schemas.driving.road import (
     NOBODY,
     VX,
     X,
+    Y,
     home_lane,
     lane_table,
     next_ahead,
@@ -143,10 +145,13 @@ def record(fleet: Fleet, scenario: Scenario, step: Step, words: Words | None = N
     """Drive every scene of a fleet to its end with a `Step`, and measure it. words: None: they have been said."""
     w = fleet.world
     recorder, active = Recorder(scenario, len(fleet.wish)), np.ones(len(fleet.wish), np.bool_)
+    refused = np.zeros(len(fleet.wish), np.int64)
     for tick in range(round(scenario.duration_s * HZ)):
         told = words is None or words.at(tick)
         lane, held = w.target_lane.copy(), w.previous_lane < 0
         settled = step(tick)
+        if isinstance(w, Batched):
+            refused += active & (w.refused != 0)
         way_open = held & way_is_open(fleet, lane)
         if tick % DECISION_TICKS == 0 and not scenario.wish_lanes:
             overtake_on(fleet)
@@ -169,7 +174,7 @@ def record(fleet: Fleet, scenario: Scenario, step: Step, words: Words | None = N
         active &= ~fleet.over()
         if not active.any():
             break
-    return recorder.results()
+    return [replace(r, actuator_ticks=int(n)) for r, n in zip(recorder.results(), refused, strict=True)]
 
 
 def way_is_open(fleet: Fleet, lane: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -203,6 +208,30 @@ def always(fleet: Fleet, action: MetaAction) -> Step:
     def step(tick: int) -> None:
         fleet.look()
         fleet.world.tick(actions, fleet.v_des, fleet.cap_mps, fleet.style)
+
+    return step
+
+
+def reckless(fleet: Fleet) -> Step:
+    """The worst that an action can ask for: into the lane of the nearest car, and as fast as the car goes."""
+    world, style = fleet.world, np.full(len(fleet.wish), ASSERTIVE)
+    fastest = np.full(len(fleet.wish), np.inf)
+
+    def step(tick: int) -> None:
+        fleet.look()
+        rows = world.rows
+        away = np.where(
+            rows[:, 1:, ID] >= 0, np.hypot(rows[:, 1:, X] - rows[:, :1, X], rows[:, 1:, Y] - rows[:, :1, Y]), np.inf
+        )
+        nearest = rows[np.arange(len(rows)), 1 + away.argmin(axis=1)]
+        aside = nearest[:, LANE].astype(np.int64) - world.target_lane
+        there = np.isfinite(away.min(axis=1)) & (world.previous_lane < 0)
+        action = np.select(
+            (there & (aside < 0), there & (aside > 0)),
+            (int(MetaAction.LEFT), int(MetaAction.RIGHT)),
+            int(MetaAction.SPEED_UP),
+        )
+        world.tick(action, fastest, fastest, style)
 
     return step
 

@@ -68,6 +68,7 @@ class Live:
         if seen is None:
             return f"starting{f': waiting for {waiting_for}' if waiting_for else ''}"
         metrics = self._metrics
+        acted = metrics.get("refused", 0) + metrics.get("strays", 0)
         return " | ".join(
             (
                 f"tick {seen.tick:>5} {seen.scenario}",
@@ -76,6 +77,7 @@ class Live:
                 f"by {self._action.source if self._action else 'nobody'}",
                 f"age {metrics.get('age_p50_us', 0.0) / 1e3:.1f}/{metrics.get('age_p99_us', 0.0) / 1e3:.1f} ms",
                 f"missed {metrics.get('missed', 0):.0f}",
+                *([f"actuator refused {acted:.0f}"] if acted else []),
             )
         )
 

@@ -10,7 +10,7 @@ from schemas.runtime.clock import NS
 from schemas.wire.messages import Command, Event, EventKind, Observation, Reply, Status
 
 SCHEMA = "fastslow.run/3"
-_COUNTED = ("ticks", "answered", "missed", "collisions", "failsafes", "episodes", "skipped")
+_COUNTED = ("ticks", "answered", "missed", "collisions", "failsafes", "episodes", "skipped", "refused", "strays")
 _HAPPENS = (EventKind.DELAYED, EventKind.OVERRIDDEN, EventKind.CARRIED_OUT, EventKind.FULFILLED, EventKind.EXPIRED)
 """To a directive; each event is counted."""
 KEPT = 500

@@ -20,7 +20,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-SCHEMA_VERSION = "3.0"
+SCHEMA_VERSION = "3.1"
 
 Manoeuvre = Literal["cruise", "follow", "overtake", "merge", "yield", "stop"]
 Style = Literal["calm", "normal", "assertive"]
@@ -236,6 +236,8 @@ class EventKind(Open):
     """A new world has begun; `detail` says after what."""
     FAULT = "fault"
     """A part of the run has given up, and the run goes on without it; `detail` says which and why."""
+    ACTUATOR = "actuator"
+    """The simulator has not carried out an action, or has braked instead; `detail` says which and why."""
 
 
 class Event(Message, frozen=True, kw_only=True, tag="event"):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from highway_env.road.road import Road
@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from schemas.driving.measures import CAR_LENGTH_M
 from schemas.driving.road import DT_S, HZ, LENGTH, WIDTH
+from schemas.runtime.compiled import compiled
 from schemas.wire.messages import ROW_COLUMNS
+from sim_node.actuator import check
 from sim_node.engine import tables
 from sim_node.engine.bridge import NO_VIEW, Bridge, new_ego
 from sim_node.engine.kernel import layout, tick
@@ -28,6 +30,17 @@ OBSTACLE_M = 2.0
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+
+
+def _check_all(
+    rows: Any, lane_y: Any, lane_end: Any, target_lane: Any, previous: Any, meta: Any, done: Any, refused: Any
+) -> None:
+    """Of every scene, what the actuator does of `meta` (S,) and why: into `done` and `refused`."""
+    for s in range(rows.shape[0]):
+        done[s], refused[s], _ = check(rows[s], lane_y[s], lane_end, meta[s], target_lane[s], previous[s])
+
+
+_check = compiled(_check_all)
 
 
 class Batched:
@@ -49,21 +62,30 @@ class Batched:
     accel: Floats
     """(S,) the ego's acceleration over the last tick."""
     crashed: Bools
+    refused: Ints
+    """(S,) why the actuator did not carry out the last tick's action (`actuator.REASONS`); 0 where it did."""
     ticks: Ints
     x: Floats
     """(S, V) the state behind `rows`, as are `y`, `heading` and `speed`; absent vehicles are at `ABSENT_X_M`."""
 
     def __init__(
-        self, scenario: Scenario, scenes: int, seed: int, *, ego: Literal["executor", "idm"] = "executor"
+        self,
+        scenario: Scenario,
+        scenes: int,
+        seed: int,
+        *,
+        ego: Literal["executor", "idm"] = "executor",
+        actuator: bool = False,
     ) -> None:
         """ego: "executor" takes actions; "idm" drives by itself, as fast as its speed goal: IDM and, where no lane is
-        oncoming, MOBIL.
+        oncoming, MOBIL. actuator: check every action last, as the running simulator does (`sim_node.actuator`).
 
         Raises ValueError for another ego.
         """
         if ego not in ("executor", "idm"):
             raise ValueError(f"ego {ego!r} is neither 'executor' nor 'idm'")
         self.scenario, self.scenes = scenario, scenes
+        self._actuator, self._done, self.refused = actuator, np.zeros(scenes, np.int64), np.zeros(scenes, np.int64)
         self._kind = layout.EXECUTOR if ego == "executor" else layout.TRAFFIC
         self._tables = tables.read(network(scenario), scenario.connected_lanes)
         self._pieces = scenario.pieces()
@@ -148,17 +170,16 @@ class Batched:
         """Advance every scene by 1/15 s: one `MetaAction` (S,) per scene, its speed goal (S,) and cap (S,) in m/s (nan
         and inf: none), and its style (S,)."""
         self._ego.speed_goal[:], self._ego.speed_cap[:], self._ego.style[:] = speed_goal, speed_cap, style
+        meta = np.ascontiguousarray(meta, np.int64)
+        if self._actuator:
+            e = self._ego
+            _check(
+                self.rows, self.lane_y, self._view.lanes[:, 2], e.target_lane, e.previous_lane, meta,
+                self._done, self.refused,
+            )  # fmt: skip
+            meta = self._done
         tick.advance(
-            1,
-            DT_S,
-            self._tables.roads,
-            self._calls,
-            self._scratch,
-            self._f,
-            self._g,
-            self._ego,
-            self._view,
-            np.ascontiguousarray(meta, np.int64),
+            1, DT_S, self._tables.roads, self._calls, self._scratch, self._f, self._g, self._ego, self._view, meta
         )
 
     def copy(self, other: Batched, scenes: Ints) -> None:

@@ -83,6 +83,15 @@ def test_of_two_answers_the_first_counts_even_if_it_stated_a_budget_that_is_over
     assert gate.close(103 * MS) is None
 
 
+def test_what_the_fast_node_cannot_have_meant_is_counted_as_stray_and_what_comes_late_is_not() -> None:
+    gate = asked()
+    for action in (answer(), answer(), answer(epoch=8), answer(epoch=6), answer(tick=5), answer(tick=3)):
+        gate.arrived(action, 110 * MS)
+    gate.open(7, 5, 167 * MS)
+    gate.arrived(answer(tick=5, meta=9), 170 * MS)
+    assert gate.strays == 5
+
+
 def test_a_gap_in_the_answers_holds_two_ticks_then_brakes_until_the_next_answer() -> None:
     node = SimNode(SimConfig(scenario="highway", seed=3))
     node.reset(7)
