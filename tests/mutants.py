@@ -76,7 +76,9 @@ PARTS = {
             "tests/fast_node/test_coordination.py",
         ),
     ),
-    "choice": Part("fast_node/choice.py", ("tests/fast_node/test_choice.py",), digest=True),
+    "choice": Part(
+        "fast_node/choice.py", ("tests/fast_node/test_choice.py", "tests/fast_node/test_comfort.py"), digest=True
+    ),
     "mask": Part(
         "fast_node/mask/[!_]*.py",
         (

@@ -287,7 +287,7 @@ class ZenohBus:
 
 
 def zenoh_settings(config: BusConfig) -> dict[str, object]:
-    """Every zenoh setting we make, by its configuration path; the reasons are in ARCHITECTURE.md."""
+    """Every zenoh setting we make, by its configuration path; the reasons are in docs/performance.md."""
     settings: dict[str, object] = {
         "mode": config.mode,
         "listen/endpoints": list(config.listen),

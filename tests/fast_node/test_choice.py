@@ -198,6 +198,10 @@ def test_the_lane_that_a_change_leaves_is_held_off_for_three_seconds_after_it():
     assert hold_off(*left, target_lane=2, previous_lane=-1)[1] == 0
 
 
+def test_the_leftmost_lane_is_held_off_as_any_other():
+    assert hold_off(-1, 0, target_lane=1, previous_lane=0) == (0, HOLD_OFF_TICKS)
+
+
 def test_the_lane_of_a_change_that_was_given_up_is_held_off():
     left = hold_off(-1, 0, target_lane=2, previous_lane=1)
     assert hold_off(*left, target_lane=1, previous_lane=2) == (2, HOLD_OFF_TICKS)

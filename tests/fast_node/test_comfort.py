@@ -9,6 +9,7 @@ import pytest
 
 from fast_node.choice import comfortable_mps
 from schemas.driving.intent import ASSERTIVE, CALM, NORMAL
+from schemas.driving.road import LANE_END
 from tests.mask_scenes import HIGHWAY, RAMP
 from tests.scenes import car
 
@@ -39,6 +40,10 @@ def comfortable(
 
 def test_alone_the_wished_speed_is_comfortable():
     assert comfortable(wish=(12.0, 1.0)) == 12.0
+
+
+def test_at_the_end_of_the_road_nobody_brakes():
+    assert comfortable(x=HIGHWAY[1][LANE_END] - 20.0, speed=20.0, wish=(20.0, 1.0)) == 20.0
 
 
 @pytest.mark.parametrize(

@@ -136,8 +136,8 @@ def test_a_car_that_changes_lanes_is_found_in_both():
         (1, 4.09, -0.31, 0.0),
         (1, 4.11, -0.31, 4.0),
         (1, 5.0, 0.3, 5.0),  # it sways
-        (0, -0.5, -1.0, -2.5),  # off the road, 2 s far
-        (3, 12.5, 1.0, 14.5),
+        (0, -0.5, -1.5, -3.5),  # off the road, 2 s far
+        (3, 12.5, 1.5, 15.5),
     ],
 )
 def test_a_motion_sideways_ends_on_the_centre_line_that_comes_next(lane, y, sideways, end):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -48,6 +49,23 @@ def test_leads_too_close_to_return_between_are_passed_together_if_there_is_time_
     assert MetaAction.LEFT not in closed(two)
     assert MetaAction.LEFT not in closed([*two[:2], car(7, 660, 0, -6)])
     assert closed([*two, car(7, 660, 0, -6)])[MetaAction.LEFT] == "oncoming traffic"
+
+
+def in_doubt(row: list[float], speed_mps: float) -> list[float]:
+    """The track of a car whose speed may be so far off."""
+    return [*row, 0.0, 0.0, speed_mps, 0.0]
+
+
+@pytest.mark.parametrize(("unsure", "by"), [(0.0, None), (2.0, "oncoming traffic")])
+def test_who_may_be_slower_leaves_less_room_to_return_to(unsure, by):
+    rows = [car(0, 500, 1, 4), car(1, 512, 1, 3.5), in_doubt(car(2, 534, 1, 3.5), unsure), car(7, 660, 0, -6)]
+    assert closed(rows).get(MetaAction.LEFT) == by
+
+
+@pytest.mark.parametrize(("unsure", "by"), [(0.0, None), (0.9, "oncoming traffic")])
+def test_who_comes_may_be_faster(unsure, by):
+    rows = [car(0, 500, 1, 4), car(1, 512, 1, 3.5), in_doubt(car(7, 635, 0, -6), unsure)]
+    assert closed(rows).get(MetaAction.LEFT) == by
 
 
 def test_a_queue_as_far_as_one_can_see_leaves_no_gap_to_return_to():
