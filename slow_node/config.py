@@ -6,6 +6,8 @@ from typing import Literal
 
 from schemas.runtime.process import NodeConfig
 
+THOUGHTS = "thoughts.jsonl"
+"""In a run's folder: how each command was understood."""
 BUDGET_S, BUDGET_MAX_S = 8.0, 300.0
 
 
@@ -22,6 +24,8 @@ class SlowConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """The embedded model has its adapter, and is asked as that has learnt it; False: with recalled examples."""
     memory_path: str = ""
     """SQLite file of the memory bank; empty: a bank that ends with the process."""
+    thoughts_path: str = ""
+    """A JSONL file that every thought is appended to, whole; empty: none."""
     budget_s: float = BUDGET_S
     """How long the language model may take for one command, retries included. What its answer was thought for may be
     as old."""

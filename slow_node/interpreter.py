@@ -181,26 +181,29 @@ class Interpreter:
 
     async def _ask(self, command: str, scene: str, nearest: tuple[Example, ...], due: float, trace: Trace) -> Slots:
         began = time.monotonic()
-        before = self._model.prompt_tokens, self._model.answer_tokens
+        model = self._model
+        before = model.prompt_tokens, model.answer_tokens, model.cost_usd
+        trace.model = model.name
         try:
             if self._style == "adapted":
                 trace.prompt = adapted_prompt(command)
-                return parse_answer(await self._answer(trace, trace.prompt, due), _numbers(command))
+                return _parsed(trace, await self._answer(trace, trace.prompt, due), _numbers(command))
             trace.prompt = build_prompt(command, scene, nearest, self._schema, short=self._style == "short")
             answer = await self._answer(trace, trace.prompt, due)
             try:
-                return parse_answer(answer)
+                return _parsed(trace, answer)
             except ParseError as error:
                 if due - time.monotonic() <= 0:
                     raise ModelTimeoutError("the model had no time left for a repair") from None
-                return parse_answer(await self._answer(trace, repair_prompt(trace.prompt, answer, str(error)), due))
+                return _parsed(trace, await self._answer(trace, repair_prompt(trace.prompt, answer, str(error)), due))
         finally:
             trace.spans_ms["model"] = _ms(began)
-            trace.prompt_tokens = self._model.prompt_tokens - before[0]
-            trace.answer_tokens = self._model.answer_tokens - before[1]
+            trace.prompt_tokens = model.prompt_tokens - before[0]
+            trace.answer_tokens = model.answer_tokens - before[1]
+            trace.cost_usd = None if model.cost_usd is None else model.cost_usd - (before[2] or 0.0)
 
     async def _answer(self, trace: Trace, chat: Chat, due: float) -> str:
-        answer = await self._model.complete(chat, self._schema, due - time.monotonic())
+        answer = await self._model.complete(chat, self._schema, due - time.monotonic(), trace.calls)
         trace.answers.append(answer)
         return answer
 
@@ -244,6 +247,17 @@ class Interpreter:
 def _on_this_road(reading: Reading, scene: Scene) -> _Read:
     slots = reading.slots or summary(reading.program, scene, reading.language)
     return _Read(slots, reading.confidence, reading.refused, reading.program, reading.sure)
+
+
+def _parsed(trace: Trace, answer: str, numbers: dict[str, float] | None = None) -> Slots:
+    """The slots in an answer, noted in the trace. Raises `ParseError`."""
+    try:
+        slots = parse_answer(answer, numbers)
+    except ParseError as error:
+        trace.parses.append(str(error))
+        raise
+    trace.parses.append("")
+    return slots
 
 
 def _numbers(command: str) -> dict[str, float]:

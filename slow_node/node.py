@@ -23,7 +23,7 @@ from slow_node.llm.model import MAX_TOKENS, MAX_TOKENS_SHORT, ChatModel
 from slow_node.memory.bank import Memory
 from slow_node.memory.examples import EXAMPLES
 from slow_node.planning.scene import describe, encode_scene
-from slow_node.thought import Trace, thought_of
+from slow_node.thought import ThoughtsFile, Trace, shortened, thought_of
 from slow_node.understanding.intent_parser import IntentParser
 from slow_node.understanding.reading.reader import ProgramReader
 
@@ -35,7 +35,13 @@ class SlowNode:
     """Polls the bus, feeds the deliberation, carries its effects out."""
 
     def __init__(
-        self, bus: Bus, memory: Memory, model: ChatModel, interpreter: Interpreter, budget_s: float = BUDGET_S
+        self,
+        bus: Bus,
+        memory: Memory,
+        model: ChatModel,
+        interpreter: Interpreter,
+        budget_s: float = BUDGET_S,
+        thoughts_path: str = "",
     ) -> None:
         self._bus, self._memory, self._model, self._interpreter = bus, memory, model, interpreter
         self._observations = bus.subscribe(topics.OBSERVATION)
@@ -47,6 +53,9 @@ class SlowNode:
         self._chores: set[asyncio.Task[None]] = set()
         self._seen: tuple[int, int] | None = None
         self._model_ms = 0.0
+        self._thoughts = ThoughtsFile(thoughts_path)
+        self._spoken = 0
+        """The newest command's id."""
 
     def metrics(self) -> dict[str, float]:
         """For the heartbeat; called from its thread."""
@@ -93,6 +102,7 @@ class SlowNode:
                 self._carry_out(self._deliberation.refuse_payload(str(fault), arrival_id, now_ns))
                 continue
             self._diary.command(command, now_ns)
+            self._spoken = command.id
             self._carry_out(self._deliberation.on_command(command, now_ns))
 
     def _carry_out(self, effects: list[Effect]) -> None:
@@ -105,7 +115,7 @@ class SlowNode:
                     log(NAME, effect.outcome, effect.why, command_id=effect.command_id, text=effect.text)
                 case Interpret():
                     self._abandon()
-                    self._interpretation = asyncio.get_running_loop().create_task(self._interpret(effect))
+                    self._interpretation = asyncio.get_running_loop().create_task(self._interpret(effect, self._spoken))
                 case Abandon():
                     self._abandon()
                 case Remember():
@@ -118,12 +128,15 @@ class SlowNode:
             self._interpretation.cancel()
             self._interpretation = None
 
-    async def _interpret(self, effect: Interpret) -> None:
+    async def _interpret(self, effect: Interpret, command_id: int) -> None:
         trace = Trace()
         try:
             found = await self._interpreter.interpret(
                 effect.command, effect.scene, effect.delayed, effect.delayed_by, trace
             )
+        except asyncio.CancelledError:
+            self._record(trace, Interpretation(None, source=trace.model), effect.command, command_id, "superseded")
+            raise
         except Exception as error:  # a passenger must get an answer even where this broke
             log(NAME, "fault", f"{type(error).__name__}: {error}")
             found = Interpretation(None, f"internal error: {type(error).__name__}", model_answered=False)
@@ -135,28 +148,27 @@ class SlowNode:
         self._diary.interpretation(effect.id, found, now_ns)
         effects = self._deliberation.on_interpretation(effect.id, found, now_ns)
         self._carry_out(effects)
-        self._tell_how(effect.command, found, trace, effects)
-
-    def _tell_how(self, command: str, found: Interpretation, trace: Trace, effects: list[Effect]) -> None:
-        """Publish how the command came to be understood, with what became of it."""
         reply = next(
             (e for e in effects if isinstance(e, Reply) and e.outcome in ("issued", "refused", "failed")), None
         )
-        if reply is None:  # it was replaced meanwhile
-            return
-        if reply.why:
+        if reply is not None and reply.why:
             trace.guards.append(reply.why)
+        self._record(trace, found, effect.command, command_id, reply.outcome if reply else "superseded")
+
+    def _record(self, trace: Trace, found: Interpretation, command: str, command_id: int, outcome: str) -> None:
+        """Tell how the command came to be understood, with what became of it."""
         thought = thought_of(
             trace,
             epoch=self._deliberation.epoch,
             stamp_ns=time.monotonic_ns(),
-            command_id=reply.command_id,
+            command_id=command_id,
             command=command,
             source=found.source,
-            outcome=reply.outcome,
+            outcome=outcome,
             slots=found.slots,
         )
-        self._bus.publish(topics.THOUGHT, thought)
+        self._thoughts.write(thought)
+        self._bus.publish(topics.THOUGHT, shortened(thought))
 
     async def _remember(self, effect: Remember) -> None:
         await asyncio.to_thread(
@@ -173,7 +185,7 @@ class SlowNode:
 def build(bus: Bus, config: SlowConfig) -> tuple[SlowNode, Memory]:
     """The node with its parts; the caller closes the memory."""
     interpreter, memory, model = build_interpreter(config)
-    return SlowNode(bus, memory, model, interpreter, config.budget_s), memory
+    return SlowNode(bus, memory, model, interpreter, config.budget_s, config.thoughts_path), memory
 
 
 def build_interpreter(config: SlowConfig) -> tuple[Interpreter, Memory, ChatModel]:

@@ -290,6 +290,24 @@ class Recalled(Struct, frozen=True, kw_only=True):
     """What came of it the last time."""
 
 
+class Try(Struct, frozen=True, kw_only=True):
+    """One exchange with the language model's server."""
+
+    ms: float
+    asked: str
+    """The answer format that was asked for: "json_schema", "json_object" or "text"."""
+    failed: str = ""
+    """Why no answer came, in the server's words where it had some; "": one came."""
+    unusable: str = ""
+    """Why the answer could not be parsed; "": it could."""
+    thinking: str = ""
+    """What the model thought before it answered: never read for what it means."""
+    finish: str = ""
+    """Why the answer ended, in the server's word."""
+    prompt_tokens: int = 0
+    answer_tokens: int = 0
+
+
 class Thought(Message, frozen=True, kw_only=True, tag="thought"):
     """How a command was understood: for people who look. Nothing is driven by it, and long texts are cut off."""
 
@@ -298,7 +316,7 @@ class Thought(Message, frozen=True, kw_only=True, tag="thought"):
     source: str
     """Who decided: "refusals", "parser", "memory" or the language model's name."""
     outcome: str
-    """Of the first reply after it: "issued", "refused" or "failed"."""
+    """Of the first reply after it: "issued", "refused" or "failed"; "superseded" where a newer command came first."""
     reading: str = ""
     """What the intent parser made of it."""
     recalled: tuple[Recalled, ...] = ()
@@ -316,6 +334,12 @@ class Thought(Message, frozen=True, kw_only=True, tag="thought"):
     answer_tokens: int = 0
     trimmed: bool = False
     """Something was too long and is cut off."""
+    model: str = ""
+    """The language model that was asked; "": none was."""
+    tries: tuple[Try, ...] = ()
+    """Every exchange with its server: retries, other ways of asking, repairs."""
+    cost_usd: float | None = None
+    """Of them all; None: nobody knows."""
 
 
 class Control(Message, frozen=True, kw_only=True, tag="control"):

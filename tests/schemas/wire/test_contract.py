@@ -105,6 +105,10 @@ STRATEGIES: dict[str, st.SearchStrategy[m.Message]] = {
         ).map(tuple),
         answers=st.lists(st.text(max_size=300), max_size=2).map(tuple),
         spans_ms=st.dictionaries(words, numbers, max_size=3),
+        tries=st.lists(
+            st.builds(m.Try, ms=numbers, asked=words, failed=words, unusable=words, thinking=words), max_size=3
+        ).map(tuple),
+        cost_usd=st.none() | numbers,
         **header,
     ),
     "control": st.builds(
