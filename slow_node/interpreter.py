@@ -92,6 +92,10 @@ class Interpreter:
         self.model_name = model.name
         self._schema = adapted_schema() if style == "adapted" else answer_schema(style == "short")
 
+    async def close(self) -> None:
+        """Hang up on the model's server, in the event loop that asked it."""
+        await self._model.close()
+
     async def interpret(
         self, command: str, scene: Scene, delayed: str = "", delayed_by: str = "", trace: Trace | None = None
     ) -> Interpretation:

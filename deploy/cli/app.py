@@ -15,6 +15,7 @@ from deploy.cli.memory import app as memory
 from deploy.cli.options import EXITS
 from deploy.cli.recordings import commands as recordings
 from deploy.cli.showing import commands as showing
+from deploy.cli.thinking import commands as thinking
 
 app = typer.Typer(
     name="fastslow",
@@ -27,7 +28,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-for group in (driving, recordings, showing, learning, judging):
+for group in (driving, recordings, showing, thinking, learning, judging):
     app.add_typer(group)
 app.add_typer(bench)
 app.add_typer(memory)

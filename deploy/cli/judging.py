@@ -16,6 +16,7 @@ from deploy.cli.options import (
     BudgetS,
     Density,
     Dropout,
+    Full,
     Json,
     MaxTokens,
     ModelName,
@@ -198,6 +199,7 @@ def evaluate(
 @commands.command(
     epilog="Examples:\n\n  fastslow interpret --input commands.jsonl --output directives.jsonl\n\n"
     '  echo \'{"id": 1, "text": "a bit slower"}\' | fastslow interpret --input -\n\n'
+    '  fastslow interpret --explain "a bit slower, please" --ask always\n\n'
     "  fastslow interpret --score --json\n\n  fastslow interpret --experiment memory --per-kind 5\n\n" + EXITS
 )
 def interpret(
@@ -206,6 +208,11 @@ def interpret(
     ] = None,
     output: Annotated[str, typer.Option(help='Where the JSON lines go; "-": stdout.')] = "-",
     scene: Annotated[Path | None, typer.Option(help="The scene of lines without one.", show_default="4 lanes")] = None,
+    explain: Annotated[
+        str | None,
+        typer.Option(metavar="TEXT", help="Interpret this one instead, and show all that led to what is made of it."),
+    ] = None,
+    full: Full = False,
     score: Annotated[bool, typer.Option("--score", help="Interpret and score a set of our own instead.")] = False,
     which: Annotated[
         str, typer.Option("--set", help="To score: dev, or blind, which is an exam: not for choosing by.")
@@ -257,6 +264,11 @@ def interpret(
                 model=options,
             )
         )
+    if explain is not None:
+        from deploy.lab.explain import explain as show
+
+        told = {"ask": ask, "parser": parser, "k": k, "threads": threads, "model": options}
+        raise typer.Exit(show(explain, scene, as_json=as_json, full=full, **told))
     if source is None:
-        raise typer.BadParameter('give a file or "-", or --score', param_hint="'--input'")
+        raise typer.BadParameter('give a file or "-", or --explain or --score', param_hint="'--input'")
     raise typer.Exit(batch(source, output, scene, ask=ask, parser=parser, k=k, threads=threads, model=options))

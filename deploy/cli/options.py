@@ -52,6 +52,7 @@ MaxTokens = Annotated[
         min=1, metavar="N", help="Of the model's answer, its thoughts included.", show_default="2000; embedded 120"
     ),
 ]
+Full = Annotated[bool, typer.Option("--full", help="All of every prompt and answer.")]
 Json = Annotated[bool, typer.Option("--json", help="Data as JSON on stdout; everything else on stderr.")]
 
 

@@ -22,6 +22,7 @@ from slow_node.interpreter import Interpreter
 from slow_node.planning.directive import ASKS, Refusal, directive_of
 from slow_node.planning.scene import Scene, encode_scene
 from slow_node.planning.steps import slots_of, stages
+from slow_node.thought import Trace
 from slow_node.understanding.slots import Slots
 
 DEFAULT_SCENE: dict[str, Any] = {
@@ -102,10 +103,15 @@ def scene_of(value: object) -> Scene:
     )
 
 
-async def interpret(interpreter: Interpreter, text: str, scene: Scene) -> dict[str, Any]:
-    """One command's outcome, as an output line without its id."""
+def read_scene(path: Path | None) -> Scene:
+    """The scene in a JSON file; None: the default one. Raises `OSError` or `ValueError`."""
+    return scene_of(json.loads(path.read_text("utf-8")) if path else DEFAULT_SCENE)
+
+
+async def interpret(interpreter: Interpreter, text: str, scene: Scene, trace: Trace | None = None) -> dict[str, Any]:
+    """One command's outcome, as an output line without its id. How it came about goes into `trace`."""
     began = time.perf_counter()
-    found = await interpreter.interpret(text, scene)
+    found = await interpreter.interpret(text, scene, trace=trace)
     slots = found.slots or Slots(outcome="unclear")
     program = found.program or Program(outcome=slots.outcome)
     parts = stages(program)
@@ -173,6 +179,7 @@ def interpret_lines(
             done += 1
             write({"id": identity, **result})
             _progress(done, len(lines))
+        await interpreter.close()
         return done, errors
 
     return asyncio.run(run())
@@ -213,7 +220,7 @@ def batch(source: str, target: str, scene_path: Path | None, **options: Any) -> 
             .decode("utf-8", errors="replace")
             .splitlines()
         )
-        default = scene_of(json.loads(scene_path.read_text("utf-8")) if scene_path else DEFAULT_SCENE)
+        default = read_scene(scene_path)
     except (OSError, ValueError) as error:
         print(f"fastslow: {error}", file=sys.stderr)
         return USAGE

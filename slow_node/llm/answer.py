@@ -117,7 +117,8 @@ def split_thoughts(content: str) -> tuple[str, str]:
     if begun is not None:
         thoughts.append(rest[begun.start() :])
         rest = rest[: begun.start()]
-    return "\n".join(thought.strip() for thought in thoughts), _ENDS.sub("", rest).strip()
+    bare = (_CLOSES.sub("", _OPENS.sub("", thought)).strip() for thought in thoughts)
+    return "\n".join(bare), _ENDS.sub("", rest).strip()
 
 
 def json_object(text: str) -> dict[str, Any]:
