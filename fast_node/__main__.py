@@ -79,8 +79,8 @@ def nodes_of(config: FastConfig, policy: NamedPolicy) -> tuple[FastNode, FastNod
 def main() -> None:
     config = load_config(FastConfig, sys.argv[1:])
     policy = load_policy(config.policy)
-    node, understudy = nodes_of(config, policy)
-    warm_up(understudy)
+    node, rehearser = nodes_of(config, policy)
+    warm_up(rehearser)
     trace, spent = Trace(config.trace), time_parts(policy) if config.trace else {}
     scheduling = claim(config.realtime)
     with open_bus(config.bus) as bus:
@@ -88,7 +88,7 @@ def main() -> None:
 
         def rehearse(last: Observation) -> None:
             """Answer the last observation once more, without consequence."""
-            understudy.step(last, directives.peek(), 0)
+            rehearser.step(last, directives.peek(), 0)
             bus.announce_next(topics.ACTION)
 
         observations = bus.subscribe_rehearsed(topics.OBSERVATION, rehearse, POLL_NS if may_poll(scheduling) else 0)

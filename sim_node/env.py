@@ -35,20 +35,20 @@ Guard = Callable[["ScenarioEnv", int], int]
 
 
 class _Features(ObservationType):  # type: ignore[misc]
-    """The policy's input under the environment's wish, (N_ROWS, F) float32."""
+    """The policy's input under the environment's intent, (N_ROWS, F) float32."""
 
     def space(self) -> spaces.Box:
         return spaces.Box(-BOUND, BOUND, (N_ROWS, len(FEATURES)), np.float32)
 
     def observe(self) -> NDArray[np.float32]:
         env: ScenarioEnv = self.env
-        wish, ego = env.wish, env.ego
+        intent, ego = env.intent, env.ego
         lanes, table = env.published_lanes(), env.seen().tolist()
         return features(
             table,
-            math.nan if wish.lane == ANY_LANE else lanes[wish.lane].y_m,
-            wish.speed_mps,
-            wish.headway_s,
+            math.nan if intent.lane == ANY_LANE else lanes[intent.lane].y_m,
+            intent.speed_mps,
+            intent.headway_s,
             ego.target_speed,
             ego.previous_lane >= 0,
             lanes[ego.target_lane].end_m - table[0][X],
@@ -138,7 +138,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         return int(self.config["simulation_frequency"])
 
     @property
-    def wish(self) -> Intent:
+    def intent(self) -> Intent:
         """What the ego is asked for now."""
         return self._wishes.now
 
@@ -187,26 +187,26 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
             meta = doing if self.guard is None else self.guard(self, doing)
             if k == 0:
                 doing = held(meta)
-            ego.speed_goal = self.wish.speed_mps
+            ego.speed_goal = self.intent.speed_mps
             self.tick(meta)
             table = self.rows().tolist()
             self._wishes.update(table)
-            wish = self.wish
-            ttc, short = closeness(table, ego.target_lane, wish.headway_s)
+            intent = self.intent
+            ttc, short = closeness(table, ego.target_lane, intent.headway_s)
             decision.tick(
                 np.array([meta]),
                 self.rows()[:1],
                 np.array([ego.acceleration]),
                 np.array([ttc]),
                 np.array([short]),
-                np.array([wish.lane in (ANY_LANE, ego.target_lane)]),
+                np.array([intent.lane in (ANY_LANE, ego.target_lane)]),
                 np.array([int(self.ending())]),
             )
             if self.ending() != Ending.NONE:
                 break
         worth = float(
             decision.earned(
-                np.array([wish.speed_mps]),
+                np.array([intent.speed_mps]),
                 0.5 * self.scenario.ego.speed_ceiling_mps,
                 self.hz,
                 to_reach=bool(self.scenario.success.reach_lanes),
@@ -311,7 +311,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
             "crashed": bool(self.ego.crashed),
             "action": action,
             "action_mask": self.action_masks(),
-            "wish": self.wish,
+            "intent": self.intent,
         }
 
     def ending(self) -> Ending:

@@ -27,7 +27,7 @@ T = TypeVar("T")
 ONE_POOL = "(rx:(handover:app),net:(handover:app),tx:(handover:app),acc:(handover:app),app:(worker_threads:1))"
 """All of zenoh's thread pools in one thread: fewer hand-overs within a tick. Only safe with rings, which never block
 that thread, and we have nothing else."""
-SOON = "/soon"
+ANNOUNCED = "/soon"
 
 
 class BusConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -236,7 +236,7 @@ class ZenohBus:
 
     def announce_next(self, topic: Topic[Any]) -> None:
         """Tell the readers that rehearse for it that a message of `topic` is about to come."""
-        key = topic.key + SOON
+        key = topic.key + ANNOUNCED
         publisher = self._publishers.get(key)
         if publisher is None:
             publisher = self._publishers[key] = self._session.declare_publisher(key, congestion_control=self._drop)

@@ -243,7 +243,7 @@ def test_a_lane_wish_of_the_user_replaces_the_random_ones() -> None:
     env.reset(seed=2)
     env.direct(lane=0, speed_mps=20.0)
     observation, _ = env.reset(seed=5)
-    assert (env.wish.lane, env.wish.speed_mps) == (0, 20.0)
+    assert (env.intent.lane, env.intent.speed_mps) == (0, 20.0)
     assert observation[0, 14] == 1.0
     assert math.isfinite(float(observation[0, 8]))
 

@@ -154,10 +154,10 @@ def test_a_late_answer_is_dropped_and_the_next_one_in_time_counts() -> None:
 def test_nobody_rehearses_with_a_policy_that_may_remember(outsider: Outsider) -> None:
     policy = load_policy("random:3")
     again = load_policy("random:3")
-    _, understudy = nodes_of(FastConfig(), policy)
+    _, rehearser = nodes_of(FastConfig(), policy)
     sim = SimNode(SimConfig())
     sim.reset(1)
-    understudy.step(sim.observation(0), None, 0)
+    rehearser.step(sim.observation(0), None, 0)
     assert policy.logits(seen()).tolist() == again.logits(seen()).tolist()
 
 
