@@ -23,6 +23,7 @@ from slow_node.llm.model import MAX_TOKENS, MAX_TOKENS_SHORT, ChatModel
 from slow_node.memory.bank import Memory
 from slow_node.memory.examples import EXAMPLES
 from slow_node.planning.scene import describe, encode_scene
+from slow_node.telemetry import telemetry_of
 from slow_node.thought import ThoughtsFile, Trace, shortened, thought_of
 from slow_node.understanding.intent_parser import IntentParser
 from slow_node.understanding.reading.reader import ProgramReader
@@ -54,6 +55,7 @@ class SlowNode:
         self._seen: tuple[int, int] | None = None
         self._model_ms = 0.0
         self._thoughts = ThoughtsFile(thoughts_path)
+        self._telemetry = telemetry_of(model)
         self._spoken = 0
         """The newest command's id."""
 
@@ -82,6 +84,7 @@ class SlowNode:
             self._abandon()
             self._diary.flush(time.monotonic_ns())
             await self._model.close()
+            self._telemetry.close()
 
     def poll(self, now_ns: int) -> None:
         """One round: the newest observation, then what the fast node reports, then the passenger."""
@@ -168,6 +171,7 @@ class SlowNode:
             slots=found.slots,
         )
         self._thoughts.write(thought)
+        self._telemetry.thought(trace, thought)
         self._bus.publish(topics.THOUGHT, shortened(thought))
 
     async def _remember(self, effect: Remember) -> None:

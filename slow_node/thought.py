@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -32,6 +33,8 @@ FILE_BYTES = 16_000_000
 class Trace:
     """What happens while a command is interpreted. The interpreter fills it in."""
 
+    began_s: float = field(default_factory=time.time)
+    """Unix time."""
     reading: str = ""
     """What the intent parser made of it."""
     nearest: tuple[Example, ...] = ()
