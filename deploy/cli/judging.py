@@ -30,6 +30,20 @@ from deploy.cli.options import (
 commands = typer.Typer()
 
 
+def pair_of(checkpoints: list[Path], *, alone: bool) -> list[str]:
+    """The two that are to be compared, or none. alone: nobody else is to drive. Raises `typer.BadParameter`."""
+    if len(checkpoints) > 2:
+        raise typer.BadParameter("one, or two to compare", param_hint="'--checkpoint'")
+    pair = [str(path) for path in checkpoints] if len(checkpoints) == 2 else []
+    if pair and not alone:
+        raise typer.BadParameter(
+            "two are compared with each other: leave other drivers out", param_hint="'--checkpoint'"
+        )
+    if len(set(pair)) == 1:
+        raise typer.BadParameter("the two are the same file", param_hint="'--checkpoint'")
+    return pair
+
+
 @commands.command(
     epilog="Examples:\n\n  fastslow evaluate\n\n  fastslow evaluate --all --episodes 300 --json\n\n"
     "  fastslow evaluate --agent rule --agent idm --scenario merge\n\n"
@@ -136,15 +150,7 @@ def evaluate(
     if rows is not None and not rows.parent.is_dir():
         raise typer.BadParameter(f"no folder {rows.parent}: make it first", param_hint="'--rows'")
     checkpoints = checkpoint or []
-    if len(checkpoints) > 2:
-        raise typer.BadParameter("one, or two to compare", param_hint="'--checkpoint'")
-    pair = [str(path) for path in checkpoints] if len(checkpoints) == 2 else []
-    if pair and (agent or policy or everything):
-        raise typer.BadParameter(
-            "two are compared with each other: leave other drivers out", param_hint="'--checkpoint'"
-        )
-    if len(set(pair)) == 1:
-        raise typer.BadParameter("the two are the same file", param_hint="'--checkpoint'")
+    pair = pair_of(checkpoints, alone=not (agent or policy or everything))
     with readable_ends():
         if plot is not None:
             import_module("matplotlib")  # a missing one is told before minutes of driving, not after

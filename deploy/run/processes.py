@@ -205,13 +205,7 @@ def process_table(options: RunOptions, model: Model, sockets: Path, folder: Path
         sim["duration_s"] = options.duration_s
     slow: dict[str, object] = {
         "bus": bus("slow", "sim", "fast"),
-        "base_url": model.base_url,
-        "model": model.name,
-        "api_key_env": "" if model.embedded else "OPENAI_API_KEY",
-        "embedded": model.embedded,
-        "adapter": not model.weights,
-        "budget_s": model.budget_s,
-        "max_tokens": model.max_tokens,
+        **_asks(model),
         "memory_path": str(data_folder() / "memory.sqlite"),
         "thoughts_path": str((folder / THOUGHTS).absolute()) if folder else "",
     }
@@ -237,6 +231,19 @@ def process_table(options: RunOptions, model: Model, sockets: Path, folder: Path
         told = {"sim": sim, "fast": fast, "slow": slow}
         table.insert(0, _recorder(options, sockets, folder, told))
     return tuple(process for process in table if process.name not in options.without)
+
+
+def _asks(model: Model) -> dict[str, object]:
+    """What the slow node is told of the model."""
+    return {
+        "base_url": model.base_url,
+        "model": model.name,
+        "api_key_env": "" if model.embedded else "OPENAI_API_KEY",
+        "embedded": model.embedded,
+        "adapter": not model.weights,
+        "budget_s": model.budget_s,
+        "max_tokens": model.max_tokens,
+    }
 
 
 def _embedded(model: Model) -> Process:
