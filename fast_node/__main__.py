@@ -16,7 +16,7 @@ from fast_node.config import FastConfig
 from fast_node.mask import PRESETS
 from fast_node.node import FastNode
 from fast_node.policies.load import load_policy
-from fast_node.policies.outsider import DeadlinePolicy
+from fast_node.policies.outsider import DeadlinePolicy, WatchedPolicy
 from fast_node.policies.policy import NamedPolicy, Policy
 from fast_node.policies.rule import RulePolicy
 from schemas.driving.road import ID, LENGTH, WIDTH, X
@@ -28,6 +28,8 @@ from schemas.wire.messages import ROW_COLUMNS, Lane, Observation
 
 POLL_NS = 1_000_000
 """An observation is polled for this long after its announcement; the next announcement or it comes within 0.7 ms."""
+POLICY_SHARE = 0.6
+"""Of the budget is the policy's; the rest is for the way there and back, and for the rule, should it be needed."""
 PARTS = ("close_actions", "features", "logits")
 """What the benchmark times within a step: the mask, the features, the policy."""
 
@@ -68,9 +70,11 @@ def time_parts(policy: object) -> dict[str, int]:
 def nodes_of(config: FastConfig, policy: NamedPolicy) -> tuple[FastNode, FastNode]:
     """The node that drives, and the one that rehearses for it.
 
-    What may remember or be slow is asked under a deadline, and not once more than the road asks: the rule rehearses.
+    What may remember or be slow is asked under a deadline, and not once more than the road asks: the rule rehearses. So
+    is what turns slow. The deadline leaves time for the rule's answer within the budget.
     """
-    drives: Policy = policy if policy.stateless else DeadlinePolicy(policy, config.budget_ms / 1e3)
+    limit_s = POLICY_SHARE * config.budget_ms / 1e3
+    drives: Policy = WatchedPolicy(policy, limit_s) if policy.stateless else DeadlinePolicy(policy, limit_s)
     rehearses: Policy = policy if policy.stateless else RulePolicy()
     preset = PRESETS[policy.mask_preset]
     return FastNode(config, drives, preset), FastNode(config, rehearses, preset)

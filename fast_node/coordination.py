@@ -29,6 +29,7 @@ from schemas.driving.intent import (
 )
 from schemas.driving.road import LANE_LIMIT, NOBODY, VX, X, gap_between, home_lane, next_ahead
 from schemas.runtime.clock import NS
+from schemas.wire.bounds import TTL_MAX_S, is_from_the_future
 from schemas.wire.messages import Closure, Directive, Event, EventKind, MetaAction, Observation, Reason
 
 HEADWAY_SHARE = 0.9
@@ -112,10 +113,11 @@ class Coordination:
             directive is not None
             and directive.epoch == self._epoch
             and (self._directive is None or directive.id > self._directive.id)
+            and not is_from_the_future(directive, now_ns)
         ):
             self._adopt(directive, observation)
         current = self._directive
-        if current is not None and self._pending and now_ns - current.stamp_ns > current.ttl_s * NS:
+        if current is not None and self._pending and now_ns - current.stamp_ns > min(current.ttl_s, TTL_MAX_S) * NS:
             self._pending = False
             if self._standing.lane != observation.target_lane:
                 self._standing.lane = None

@@ -264,6 +264,7 @@ def main() -> None:
                     heart.begin()
                     loop.tick(due_ns)
                     heart.epoch = node.epoch
+                    heart.mode = (node.mode.name, node.mode.why, node.mode.since_ns)
                     heart.end()
                 loop.show(schedule.wait())  # what the last step came to; nothing is done with the answer
             finally:

@@ -17,6 +17,7 @@ from sim_node.config import SimConfig
 from sim_node.env import ScenarioEnv
 from sim_node.gate import answers
 from sim_node.metrics import Recorder
+from sim_node.mode import ModeKeeper
 
 HOLD_TICKS = 2
 """Without an answer, the set-points hold for this many ticks; from the next one on the ego brakes."""
@@ -67,6 +68,7 @@ class SimNode:
         """Why the episode has ended; empty while it runs."""
         self._applied_tick = -1
         self._unanswered = 0
+        self.mode = ModeKeeper()
 
     def build(self, config: SimConfig) -> None:
         """Take another road, or other traffic on it; the next `reset` begins there, with the configuration's seed."""
@@ -141,7 +143,9 @@ class SimNode:
         ego = self._env.ego
         ego.speed_goal = math.nan
         meta = MetaAction.CRUISE
-        if action is not None and answers(action, self.epoch, self.tick):
+        if action is not None and not answers(action, self.epoch, self.tick):
+            action = None
+        if action is not None:
             meta = MetaAction(action.meta_action)
             if action.speed_goal_mps is not None:
                 ego.speed_goal = action.speed_goal_mps
@@ -158,6 +162,7 @@ class SimNode:
                 self.metrics.failsafes += 1
                 # The executor brakes with its gain times this difference: a gentle, jerk-bounded stop in lane.
                 ego.target_speed = max(0.0, float(ego.speed) - FAILSAFE_BRAKE_MPS2)
+        self.mode.tick(action, self._unanswered > HOLD_TICKS, float(ego.speed), now_ns)
         self._env.tick(int(meta))
         self._tell_of_the_actuator(meta, now_ns)
         self.tick += 1

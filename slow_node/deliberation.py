@@ -87,6 +87,8 @@ class Deliberation:
         """budget_s: what an interpretation may take. One that took little longer counts."""
         self._thinks_at_most_s = max(SCENE_MAX_AGE_S, budget_s + SPARE_S)
         self._scene: Scene | None = None
+        self._held: Command | None = None
+        """A command that came before the first observation."""
         self._pending: _Pending | None = None
         self._pursuit: Pursuit | None = None
         self._language = "en"
@@ -128,17 +130,26 @@ class Deliberation:
                 Abandon(),
             ]
             self._pending = None
-        scene = self._scene
-        if scene is None or now_ns - scene.stamp_ns > SCENE_MAX_AGE_S * NS:
+        if self._scene is None:
+            if self._held is not None:
+                say = sentence("superseded", self._language)
+                effects.append(self._reply(self._held, "superseded", now_ns, say=say, why="a newer command came"))
+            self._held = command
+            return effects
+        return effects + self._ask(command, self._scene, now_ns)
+
+    def _ask(self, command: Command, scene: Scene, now_ns: int) -> list[Effect]:
+        """Have a command interpreted on this scene."""
+        if now_ns - scene.stamp_ns > SCENE_MAX_AGE_S * NS:
             why = "the car's surroundings are unknown: no recent observation"
-            return [*effects, self._refused(command, why, "blind", now_ns)]
+            return [self._refused(command, why, "blind", now_ns)]
         self._asked += 1
         self._pending = _Pending(self._asked, command, scene)
         before = self._pursuit
         if before is not None and before.delayed_by and not before.fulfilled:
             delayed = before.directive.manoeuvre
-            return [*effects, Interpret(self._asked, command.text, scene, delayed, before.delayed_by)]
-        return [*effects, Interpret(self._asked, command.text, scene)]
+            return [Interpret(self._asked, command.text, scene, delayed, before.delayed_by)]
+        return [Interpret(self._asked, command.text, scene)]
 
     def on_interpretation(self, identity: int, found: Interpretation, now_ns: int) -> list[Effect]:
         """One has ended: the gates, in order, are its schema, the road, and how old its scene is.
@@ -192,8 +203,11 @@ class Deliberation:
         return []
 
     def on_scene(self, scene: Scene, now_ns: int) -> list[Effect]:
-        """A new observation: watch over the pursuit."""
+        """A new observation: begin with the command that has waited for it, and watch over the pursuit."""
         before, self._scene = self._scene, scene
+        if self._held is not None:
+            held, self._held = self._held, None
+            return self._ask(held, scene, now_ns)
         pursuit = self._pursuit
         if pursuit is None:
             return []

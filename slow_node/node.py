@@ -58,6 +58,7 @@ class SlowNode:
         self._telemetry = telemetry_of(model)
         self._spoken = 0
         """The newest command's id."""
+        self._told_s = 0.0
 
     def metrics(self) -> dict[str, float]:
         """For the heartbeat; called from its thread."""
@@ -76,7 +77,10 @@ class SlowNode:
                 if heart is not None:
                     heart.begin()
                     heart.epoch = self._deliberation.epoch
-                self.poll(time.monotonic_ns())
+                try:
+                    self.poll(time.monotonic_ns())
+                except Exception as error:  # what cannot be thought about now is no reason to stop thinking
+                    self._tell_of(error)
                 if heart is not None:
                     heart.end()
                 await asyncio.sleep(POLL_S)
@@ -106,7 +110,19 @@ class SlowNode:
                 continue
             self._diary.command(command, now_ns)
             self._spoken = command.id
-            self._carry_out(self._deliberation.on_command(command, now_ns))
+            try:
+                self._carry_out(self._deliberation.on_command(command, now_ns))
+            except Exception as error:  # a passenger must get an answer even where this broke
+                self._tell_of(error)
+                why = f"internal error: {type(error).__name__}"
+                self._carry_out(self._deliberation.refuse_payload(why, command.id, now_ns))
+
+    def _tell_of(self, error: Exception) -> None:
+        """Log an error of ours, once a second at most."""
+        now_s = time.monotonic()
+        if now_s - self._told_s >= 1.0:
+            self._told_s = now_s
+            log(NAME, "fault", f"{type(error).__name__}: {error}"[:500])
 
     def _carry_out(self, effects: list[Effect]) -> None:
         for effect in effects:

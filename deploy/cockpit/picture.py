@@ -34,6 +34,7 @@ from schemas.wire.messages import (
     Status,
     Thought,
 )
+from schemas.wire.text import plain
 
 NOTES, THOUGHTS = 400, 30
 """How many notes and how many thoughts are kept."""
@@ -292,18 +293,19 @@ class Picture:
             "vehicle": held.vehicle if held else -1,
             "waited": round((seen.tick - plan.since_tick) / seen.hz, 1) if plan.since_tick >= 0 else 0.0,
             "detail": plan.detail,
-            "reasoning": directive.reasoning[:TEXT_CHARS],
+            "reasoning": plain(directive.reasoning, TEXT_CHARS),
         }
 
     def _health(self, now_ns: int) -> list[dict[str, Any]]:
         return [
             {
-                "node": status.node,
+                "node": plain(status.node, 40),
                 "state": "gone" if now_ns - status.stamp_ns > SILENT_NS else status.state,
                 "pid": status.pid,
                 "age": round((now_ns - status.stamp_ns) / NS, 2),
                 "metrics": {k: round(v, 3) for k, v in list(status.metrics.items())[:32] if math.isfinite(v)},
-                "detail": status.detail[:TEXT_CHARS],
+                "detail": plain(status.detail, TEXT_CHARS),
+                **({"mode": status.mode, "mode_why": plain(status.mode_why, TEXT_CHARS)} if status.mode else {}),
             }
             for status in (self._nodes[name] for name in sorted(self._nodes))
         ]
@@ -312,7 +314,7 @@ class Picture:
 def _fields(message: Message, *but: str) -> dict[str, Any]:
     """A message's fields as plain values; its own `kind` is called `what`."""
     values = {
-        name: str(value)[:TEXT_CHARS] if isinstance(value, str) else value
+        name: plain(str(value), TEXT_CHARS) if isinstance(value, str) else value
         for name in message.__struct_fields__
         if name not in but and (value := getattr(message, name)) is not None
     }

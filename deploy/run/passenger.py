@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import msgspec
 
 from deploy.run.processes import TCP_HOST
+from deploy.run.status import mode_of
 from schemas.runtime.bus import BusConfig, BusError, open_bus
 from schemas.runtime.process import FAILED, OK, UNAVAILABLE, USAGE
 from schemas.wire import topics
@@ -122,12 +123,14 @@ def status(*, port: int, as_json: bool) -> int:
         return UNAVAILABLE
     newest = [nodes[name] for name in sorted(nodes)]
     if as_json:
-        fields = ("node", "pid", "state", "epoch", "metrics", "detail")
+        fields = ("node", "pid", "state", "epoch", "metrics", "detail", "mode", "mode_why", "mode_since_ns")
         rows = [{name: getattr(heartbeat, name) for name in fields} for heartbeat in newest]
         print(msgspec.json.encode({"schema": "fastslow.status/1", "nodes": rows}).decode())
         return OK
     for heartbeat in newest:
-        metrics = "  ".join(f"{name} {_short(value)}" for name, value in heartbeat.metrics.items())
+        metrics = " ".join(f"{name} {_short(value)}" for name, value in heartbeat.metrics.items())
         detail = f"  {plain(heartbeat.detail)}" if heartbeat.detail else ""
-        print(f"{heartbeat.node:<6} {heartbeat.state:<9} pid {heartbeat.pid:<8}{metrics}{detail}")
+        if heartbeat.mode:
+            detail = f"  {mode_of(heartbeat, time.monotonic_ns())}{detail}"
+        print(f"{plain(heartbeat.node):<6} {heartbeat.state:<9} pid {heartbeat.pid:<8}{plain(metrics)}{detail}")
     return OK

@@ -21,6 +21,7 @@ class Live:
         self._action: Action | None = None
         self._directive: Directive | None = None
         self._metrics: dict[str, float] = {}
+        self._sim: Status | None = None
 
     def observation(self, observation: Observation) -> None:
         self._observation = observation
@@ -33,7 +34,7 @@ class Live:
 
     def status(self, status: Status) -> None:
         if status.node == "sim":
-            self._metrics = status.metrics
+            self._metrics, self._sim = status.metrics, status
 
     def reply(self, reply: Reply) -> str:
         """The line for a reply."""
@@ -72,6 +73,7 @@ class Live:
         return " | ".join(
             (
                 f"tick {seen.tick:>5} {seen.scenario}",
+                *([mode_of(self._sim, now_ns)] if self._sim is not None and self._sim.mode else []),
                 f"{metrics.get('speed_mps', 0.0):4.1f} m/s lane {metrics.get('lane', 0):.0f}",
                 self._intent(now_ns, seen.epoch),
                 f"by {self._action.source if self._action else 'nobody'}",
@@ -94,6 +96,12 @@ class Live:
         if directive.target_speed_mps is not None:
             wishes.append(f"{directive.target_speed_mps:.0f} m/s")
         return f"{' '.join(wishes)}, {left_s:.0f} s left"
+
+
+def mode_of(status: Status, now_ns: int) -> str:
+    """How the car is driven, why and since when: "DEGRADED for 3 s: no answer in time"."""
+    since = f" for {(now_ns - status.mode_since_ns) / NS:.0f} s" if status.mode_since_ns else ""
+    return f"{status.mode}{since}{f': {plain(status.mode_why, 80)}' if status.mode_why else ''}"
 
 
 def happened(directives: Mapping[str, int], delayed_by: Mapping[str, int]) -> str:

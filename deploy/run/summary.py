@@ -14,7 +14,7 @@ _COUNTED = ("ticks", "answered", "missed", "collisions", "failsafes", "episodes"
 _HAPPENS = (EventKind.DELAYED, EventKind.OVERRIDDEN, EventKind.CARRIED_OUT, EventKind.FULFILLED, EventKind.EXPIRED)
 """To a directive; each event is counted."""
 KEPT = 500
-"""Events and lane changes in the summary, the first ones."""
+"""Events, modes and lane changes in the summary, the first ones."""
 
 
 @dataclass
@@ -43,6 +43,7 @@ class Summary:
         self._delayed_by: Counter[str] = Counter()
         self._events: list[dict[str, object]] = []
         self._lanes: list[dict[str, object]] = []
+        self._modes: list[dict[str, object]] = []
 
     def begin(self, start_ns: int) -> None:
         """The run begins now: times count from here."""
@@ -93,6 +94,9 @@ class Summary:
     def status(self, status: Status) -> None:
         if status.node == "sim":
             self._metrics[status.pid] = status.metrics
+            if status.mode and len(self._modes) < KEPT and (not self._modes or self._modes[-1]["mode"] != status.mode):
+                since = self._at(status.mode_since_ns) if status.mode_since_ns else 0.0
+                self._modes.append({"mode": status.mode, "why": status.mode_why, "since_s": since})
 
     def _of(self, command_id: int, text: str) -> Said:
         return self._said.setdefault(command_id, Said(text))
@@ -117,6 +121,7 @@ class Summary:
             "commands": [asdict(said) for said in self._said.values()],
             "directives": {kind.value: self._happened[kind] for kind in _HAPPENS},
             "delayed_by": dict(self._delayed_by.most_common()),
+            "modes": self._modes,
             "events": self._events,
             "lanes": self._lanes,
         }

@@ -120,6 +120,7 @@ class _Run:
         self._supervisor = Supervisor(table, self._folder, self._notice, policy)
         self._live = Live()
         self._spoken_for_s = 0.0
+        self._refused, self._refused_told_s = 0, 0.0
         self._page = ""
         self._opened_ns = time.monotonic_ns()
         self._began_ns: int | None = None
@@ -171,7 +172,7 @@ class _Run:
 
     def _print(self, line: str) -> None:
         try:
-            print(line, file=self._out, flush=True)
+            print(f"{' ' * (len(line) - len(line.lstrip(' ')))}{plain(line)}", file=self._out, flush=True)
         except BrokenPipeError:  # nobody reads any more; the car drives on, and the run folder has it all
             self._out = open(os.devnull, "w")  # noqa: SIM115 - as long as the process
 
@@ -207,6 +208,14 @@ class _Run:
             line = self._live.event(event)
             if line is not None:
                 self._print(line)
+        self._tell_of_refusals()
+
+    def _tell_of_refusals(self) -> None:
+        """Once a second: that payloads could not be used, and why."""
+        total, now_s = sum(self._bus.faults.values()), time.monotonic()
+        if total != self._refused and now_s - self._refused_told_s >= 1.0:
+            self._notice(f"{total - self._refused} payloads refused, the last on {self._bus.last_fault[:200]}")
+            self._refused, self._refused_told_s = total, now_s
 
     def _show_page(self, status: Status) -> None:
         """Tell where the cockpit is, once it is there."""
@@ -258,6 +267,7 @@ class _Run:
 
     def _finish(self, ended_ns: int) -> None:
         summary = self._summary.result(self._supervisor.restarts, ended_ns)
+        summary["refused_payloads"] = dict(self._bus.faults)
         (self._folder / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
         if self._options.as_json:
             print(json.dumps(summary), flush=True)

@@ -12,7 +12,7 @@ from fast_node.policies.ablated import BlindPolicy, DeafPolicy, untrained_of
 from fast_node.policies.attention import SHIPPED, load_attention, read_sidecar
 from fast_node.policies.fixed import constant_of, random_of
 from fast_node.policies.mlp import BASELINES, VARIANTS, load_mlp, shipped
-from fast_node.policies.outsider import load_outsider
+from fast_node.policies.outsider import load_outsider, prove
 from fast_node.policies.policy import NamedPolicy
 from fast_node.policies.rule import RulePolicy
 from schemas.runtime.process import ConfigError
@@ -40,6 +40,8 @@ def load_policy(spec: str = OURS) -> NamedPolicy:
         )
     if found.mask_preset not in PRESETS:
         raise ConfigError(f"policy {spec} has mask_preset {found.mask_preset!r}: choose from {', '.join(PRESETS)}")
+    if found.stateless:  # to ask one that remembers would change what it does next
+        prove(spec, found)
     return replace(found, name=spec)
 
 

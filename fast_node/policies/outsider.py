@@ -8,6 +8,7 @@ import os
 import queue
 import sys
 import threading
+import time
 import traceback
 from concurrent.futures import Future
 from typing import Any
@@ -50,10 +51,16 @@ def load_outsider(spec: str) -> NamedPolicy:
             "object that has"
         )
     checked = CheckedPolicy(spec, policy)
+    prove(spec, policy)
+    return NamedPolicy(spec, checked, mask_preset=str(getattr(policy, "mask_preset", "sim")), stateless=False)
+
+
+def prove(name: str, policy: Policy) -> None:
+    """Ask a policy three times before it drives, one scene and two at once: what is wrong with it is told now. Raises
+    `ConfigError`, one line."""
     one = _probe()
     for x in (one, np.stack([one, one]), one):
-        checked.logits(x)
-    return NamedPolicy(spec, checked, mask_preset=str(getattr(policy, "mask_preset", "sim")), stateless=False)
+        CheckedPolicy(name, policy).logits(x)
 
 
 class CheckedPolicy:
@@ -110,6 +117,25 @@ class DeadlinePolicy:
                 answer.set_result(self._policy.logits(x))
             except BaseException as error:  # told to who waits; this thread goes on
                 answer.set_exception(error if isinstance(error, Exception) else RuntimeError(repr(error)))
+
+
+class WatchedPolicy:
+    """Asks a policy directly, which is quickest, until an answer takes longer than `limit_s`: from then on under that
+    deadline, so that a tick is answered in time whatever has become of the policy."""
+
+    def __init__(self, policy: Policy, limit_s: float) -> None:
+        self._policy, self._limit_s = policy, limit_s
+        self._deadline: DeadlinePolicy | None = None
+
+    def logits(self, x: Array) -> Array:
+        """See `Policy.logits`. Raises TimeoutError where no answer comes in time."""
+        if self._deadline is not None:
+            return self._deadline.logits(x)
+        start_s = time.monotonic()
+        answer = self._policy.logits(x)
+        if time.monotonic() - start_s > self._limit_s:
+            self._deadline = DeadlinePolicy(self._policy, self._limit_s)
+        return answer
 
 
 def _probe() -> Array:

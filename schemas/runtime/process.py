@@ -20,7 +20,9 @@ import msgspec
 from schemas.runtime.bus import Bus, BusConfig
 from schemas.runtime.realtime import Mode
 from schemas.wire import topics
+from schemas.wire.messages import Mode as DrivingMode
 from schemas.wire.messages import Status
+from schemas.wire.text import plain
 
 OK, FAILED, USAGE, UNAVAILABLE, TRY_AGAIN, CONFIG = 0, 1, 2, 69, 75, 78
 """Exit codes: see the README's table. 130 and 143 are the signals' own."""
@@ -96,6 +98,8 @@ def log(node: str, event: str, detail: str = "", **fields: object) -> None:
 
 QUIET_WAIT_S = 0.1
 """How long a beat waits for a tick to end: longer than one tick at 15 Hz."""
+TOLD_FOR_S = 10.0
+"""So long the heartbeat names the last payload that was refused."""
 QUIET_S = 0.01
 """From a tick's end to the beat: by then the answer to it has arrived, and the next tick is far."""
 
@@ -114,8 +118,11 @@ class Heartbeat:
         self._stop = threading.Event()
         self._ended = threading.Event()
         self._seq = 0
+        self._refused, self._told, self._told_s = 0, "", -TOLD_FOR_S
         self.epoch = 0
         self.state: str = "ready"
+        self.mode: tuple[DrivingMode | None, str, int] = (None, "", 0)
+        """How the car is driven, why and since when; of the simulator alone."""
         self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
 
     def __enter__(self) -> Heartbeat:
@@ -133,6 +140,15 @@ class Heartbeat:
         self._busy_since = None
         self._ended.set()
 
+    def _refusals(self) -> str:
+        """What was wrong with the payloads that could not be used, as long as there are any; logged once a second."""
+        total, now_s = sum(self._bus.faults.values()), time.monotonic()
+        if total != self._refused and now_s - self._told_s >= 1.0:
+            self._told = f"{total - self._refused} payloads refused, the last on {plain(self._bus.last_fault, 200)}"
+            self._refused, self._told_s = total, now_s
+            log(self._node, "payload", self._told)
+        return self._told if now_s - self._told_s < TOLD_FOR_S else ""
+
     def _beat(self) -> None:
         period = 1.0 / (topics.STATUS.hz or 5.0)
         while not self._stop.wait(period - QUIET_WAIT_S):
@@ -144,6 +160,9 @@ class Heartbeat:
             if busy_since is not None and time.monotonic() - busy_since > self._stuck_s:
                 continue
             self._seq += 1
+            metrics, detail = self._metrics(), self._refusals()
+            if self._refused:
+                metrics["refused_payloads"] = float(self._refused)
             self._bus.publish(
                 topics.STATUS,
                 Status(
@@ -153,7 +172,11 @@ class Heartbeat:
                     pid=os.getpid(),
                     seq=self._seq,
                     state=self.state,  # type: ignore[arg-type]
-                    metrics=self._metrics(),
+                    metrics=metrics,
+                    detail=detail,
+                    mode=self.mode[0],
+                    mode_why=self.mode[1],
+                    mode_since_ns=self.mode[2],
                 ),
             )
 

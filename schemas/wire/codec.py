@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import unicodedata
 from typing import Any, TypeVar
 
@@ -10,7 +9,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.wire.messages import ROW_COLUMNS, ROW_LAYOUT, SCHEMA_VERSION, Command, Message, Observation
+from schemas.wire.bounds import OutOfBoundsError, check
+from schemas.wire.messages import ROW_COLUMNS, SCHEMA_VERSION, Command, Message, Observation
 from schemas.wire.text import plain
 from schemas.wire.topics import MAX_COMMAND_CHARS, MAX_MESSAGE_BYTES, TOPICS, Topic
 
@@ -44,8 +44,8 @@ def encode(message: Message) -> bytes:
 def decode(topic: Topic[M], payload: bytes) -> M:
     """The message in a payload of `topic`.
 
-    Raises `Fault` on anything else: too large, not MessagePack, a missing or ill-typed field, a non-finite number where
-    one drives the car, another schema major (naming both versions).
+    Raises `Fault` on anything else: too large, not MessagePack, a missing or ill-typed field, a number out of its
+    bounds (`schemas.wire.bounds`), another schema major (naming both versions).
     """
     if len(payload) > topic.max_bytes:
         raise Fault(f"{len(payload)} bytes exceed {topic.max_bytes}")
@@ -58,8 +58,10 @@ def decode(topic: Topic[M], payload: bytes) -> M:
         _refuse_another_major(_schema_of(payload))
         raise Fault(f"not a {topic.type.__name__}: {error}") from None
     _refuse_another_major(message.schema)
-    if isinstance(message, Observation):
-        _check_observation(message)
+    try:
+        check(message)
+    except OutOfBoundsError as error:
+        raise Fault(str(error)) from None
     return message
 
 
@@ -79,22 +81,6 @@ def _schema_of(payload: bytes) -> str:
         return msgspec.msgpack.decode(payload, type=_Header).schema
     except _UNREADABLE:
         return SCHEMA_VERSION
-
-
-def _check_observation(observation: Observation) -> None:
-    width = 4 * len(ROW_COLUMNS)
-    if observation.layout != ROW_LAYOUT:
-        raise Fault(f"row layout {observation.layout!r} is not {ROW_LAYOUT!r}")
-    if not observation.rows or len(observation.rows) % width:
-        raise Fault(f"rows of {len(observation.rows)} bytes are not whole rows of {width}")
-    if not observation.lanes:
-        raise Fault("an observation without lanes")
-    if not math.isfinite(sum(memoryview(observation.rows).cast("f"))):  # quicker than NumPy for so few
-        raise Fault("a non-finite number in rows")
-    if not (math.isfinite(observation.target_speed_mps) and math.isfinite(observation.acceleration_mps2)):
-        raise Fault("a non-finite set-point")
-    if not 0 <= observation.target_lane < len(observation.lanes):
-        raise Fault(f"target_lane {observation.target_lane} is not one of {len(observation.lanes)} lanes")
 
 
 def rows_of(observation: Observation) -> NDArray[np.float32]:

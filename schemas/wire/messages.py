@@ -23,6 +23,8 @@ from msgspec import Struct
 SCHEMA_VERSION = "3.1"
 
 Manoeuvre = Literal["cruise", "follow", "overtake", "merge", "yield", "stop"]
+Mode = Literal["NOMINAL", "DEGRADED", "FAIL-SAFE", "STOPPED"]
+"""All is well; the fallback drives, or answers are missing; the simulator stops the car; it stands for that reason."""
 Style = Literal["calm", "normal", "assertive"]
 
 ROW_COLUMNS = ("id", "x_m", "y_m", "vx_mps", "vy_mps", "heading_rad", "length_m", "width_m", "lane")
@@ -269,6 +271,11 @@ class Status(Message, frozen=True, kw_only=True, tag="status"):
     state: Literal["starting", "ready", "degraded", "stopping"]
     metrics: dict[str, float] = {}
     detail: str = ""
+    mode: Mode | None = None
+    """How the car is driven; the simulator knows, and no other node says."""
+    mode_why: str = ""
+    mode_since_ns: int = 0
+    """When it began; 0: it has been so since the start."""
 
 
 class Turn(Struct, frozen=True, kw_only=True):

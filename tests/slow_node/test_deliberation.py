@@ -267,6 +267,24 @@ def test_without_a_recent_scene_a_command_is_refused_uninterpreted() -> None:
     assert ride.replies[-1].say == sentence("blind", "de")
 
 
+def test_a_command_before_the_first_observation_is_held_until_it_comes() -> None:
+    ride = Ride()
+    assert not [e for e in ride.hear() if isinstance(e, Interpret)]
+    assert ride.outcomes == ["heard"]
+    calls = [e for e in ride.look(1, after_s=30.0) if isinstance(e, Interpret)]
+    assert (len(calls), ride.outcomes) == (1, ["heard"])
+    ride.deliberation.on_interpretation(calls[0].id, Interpretation(LEFT), ride._now())
+    assert not [e for e in ride.look(1) if isinstance(e, Interpret)]
+
+
+def test_of_two_commands_before_the_first_observation_the_newer_one_is_held() -> None:
+    ride = Ride()
+    ride.hear()
+    ride.hear()
+    assert ride.outcomes == ["heard", "heard", "superseded"]
+    assert len([e for e in ride.look(1) if isinstance(e, Interpret)]) == 1
+
+
 def test_an_answer_to_a_scene_older_than_ten_seconds_is_refused() -> None:
     ride = Ride()
     ride.look(1)

@@ -179,7 +179,8 @@ export class Panels {
     const sim = nodes.find((node) => node.node === "sim");
     if (sim && sim.metrics.age_p99_us !== undefined) {
       const f = sim.metrics;
-      text($("ticks"), `age of the action ${(f.age_p50_us / 1000).toFixed(1)} / ${(f.age_p99_us / 1000).toFixed(1)} ms · missed ${f.missed ?? 0}${f.refused || f.strays ? ` · actuator refused ${(f.refused ?? 0) + (f.strays ?? 0)}` : ""}`);
+      const mode = sim.mode && sim.mode !== "NOMINAL" ? `${sim.mode}: ${sim.mode_why} · ` : "";
+      text($("ticks"), `${mode}age of the action ${(f.age_p50_us / 1000).toFixed(1)} / ${(f.age_p99_us / 1000).toFixed(1)} ms · missed ${f.missed ?? 0}${f.refused || f.strays ? ` · actuator refused ${(f.refused ?? 0) + (f.strays ?? 0)}` : ""}`);
       $("ticks").title = "From what the car saw until it did what answers that: median and 99th percentile, as the simulator measures it";
     }
   }

@@ -12,12 +12,21 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from schemas.wire import messages as m
 from schemas.wire.codec import Fault, decode, decode_command, encode, rows_of
-from schemas.wire.topics import EVENT, MAX_COMMAND_CHARS, MAX_MESSAGE_BYTES, OBSERVATION, TOPICS, Topic
+from schemas.wire.topics import (
+    ACTION,
+    DIRECTIVE,
+    EVENT,
+    MAX_COMMAND_CHARS,
+    MAX_MESSAGE_BYTES,
+    OBSERVATION,
+    TOPICS,
+    Topic,
+)
 from tests import scenes
 
 CALM = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -25,13 +34,16 @@ CALM = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 WIDTH = len(m.ROW_COLUMNS)
 ANY_TOPIC = pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
-numbers = st.floats(allow_nan=False, width=32)
+numbers = st.floats(-1e6, 1e6, width=32)
+speeds = st.floats(0.0, 150.0, width=32)
 counts = st.integers(0, 2**48)
 words = st.text(max_size=40)
 
 
 def observation(vehicles: int = 3, **changes: Any) -> m.Observation:
-    rows = np.arange(vehicles * WIDTH, dtype=np.float32).reshape(vehicles, WIDTH).tolist()
+    table = np.arange(vehicles * WIDTH, dtype=np.float32).reshape(vehicles, WIDTH)
+    table[:, -1] %= 2
+    rows = table.tolist()
     return scenes.observation(*rows, **{"tick": 5, "target_lane": 0, **changes})
 
 
@@ -45,7 +57,7 @@ STRATEGIES: dict[str, st.SearchStrategy[m.Message]] = {
         source=st.sampled_from(["policy", "masked", "coordination", "fallback"]),
         compute_ns=counts,
         why=words,
-        speed_goal_mps=st.none() | numbers,
+        speed_goal_mps=st.none() | speeds,
         directive_id=st.none() | counts,
         probabilities=st.lists(numbers, max_size=5).map(tuple),
         closed=st.lists(
@@ -59,7 +71,7 @@ STRATEGIES: dict[str, st.SearchStrategy[m.Message]] = {
         command_id=counts,
         scene_tick=counts,
         target_lane=st.none() | st.integers(0, 9),
-        target_speed_mps=st.none() | numbers,
+        target_speed_mps=st.none() | speeds,
         manoeuvre=st.sampled_from(["cruise", "overtake", "stop"]),
         reasoning=st.text(max_size=200),
         say=words,
@@ -172,6 +184,60 @@ def test_every_message_comes_back_as_it_went_and_is_small(case: tuple[Topic[m.Me
     payload = encode(message)
     assert len(payload) <= topic.max_bytes
     assert decode(topic, payload) == message
+
+
+def floats_in(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Where in a map the floating-point numbers are."""
+    if isinstance(value, float):
+        return [path]
+    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    return [found for key, item in inner for found in floats_in(item, (*path, key))]
+
+
+@CALM
+@given(case=CASES, data=st.data(), odd=st.sampled_from([math.nan, math.inf, -math.inf]))
+def test_no_number_that_is_not_finite_is_read_wherever_it_stands(
+    case: tuple[Topic[m.Message], m.Message], data: st.DataObject, odd: float
+) -> None:
+    topic, message = case
+    fields = as_map(message)
+    places = [place for place in floats_in(fields) if place != ("goal_x_m",)]
+    assume(places)
+    *path, last = data.draw(st.sampled_from(places))
+    inside: Any = fields
+    for key in path:
+        inside = inside[key]
+    inside[last] = odd
+    with pytest.raises(Fault):
+        decode(topic, msgspec.msgpack.encode(fields))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"target_speed_mps": -1.0},
+        {"target_speed_mps": 1e9},
+        {"headway_s": -0.1},
+        {"headway_s": 61.0},
+        {"target_lane": -1},
+        {"target_lane": 99},
+        {"ttl_s": 0.0},
+        {"ttl_s": -5.0},
+    ],
+)
+def test_a_directive_out_of_bounds_is_not_read(changes: dict[str, Any]) -> None:
+    directive = m.Directive(epoch=1, stamp_ns=0, id=1, command_id=1, scene_tick=0, **changes)
+    with pytest.raises(Fault, match=next(iter(changes))):
+        decode(DIRECTIVE, encode(directive))
+
+
+@pytest.mark.parametrize(
+    "changes", [{"meta_action": 6}, {"meta_action": -1}, {"style": 3}, {"turn_signal": 2}, {"speed_cap_mps": -1.0}]
+)
+def test_an_action_out_of_bounds_is_not_read(changes: dict[str, Any]) -> None:
+    fields = {"answers_tick": 0, "meta_action": 1, "source": "policy", **changes}
+    with pytest.raises(Fault, match=next(iter(changes))):
+        decode(ACTION, encode(m.Action(epoch=1, stamp_ns=0, **fields)))
 
 
 def test_a_message_that_is_too_large_is_not_sent() -> None:
