@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+SECRET = "a-key-that-stays-in-its-header"
+
 
 class ScriptedModel:
     """An OpenAI-compatible server on loopback that answers with what `script` makes of the newest user turn."""
@@ -49,6 +51,6 @@ def model_of(kind: str, script: Callable[[str], str], at_least: int = 1) -> Iter
         yield {}
         return
     scripted = ScriptedModel(script)
-    yield {"OPENAI_API_KEY": "any", "OPENAI_BASE_URL": scripted.url, "OPENAI_MODEL": "scripted"}
+    yield {"OPENAI_API_KEY": SECRET, "OPENAI_BASE_URL": scripted.url, "OPENAI_MODEL": "scripted"}
     assert len(scripted.prompts) >= at_least
     scripted.close()

@@ -46,4 +46,4 @@ def thoughts(
             return
         for one in kept:
             typer.echo("\n".join(worded(one, full=full)) + "\n")
-        typer.echo(f"fastslow: {len(kept)} thoughts in {file}", err=True)
+        typer.echo(f"fastslow: {len(kept)} thought{'' if len(kept) == 1 else 's'} in {file}", err=True)

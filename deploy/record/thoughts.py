@@ -99,7 +99,8 @@ def _parts(thought: Thought) -> Iterator[tuple[str, str]]:
         yield "recalled" if not number else "", words
     for turn in thought.prompt:
         yield f"to {turn.role}" if turn.role != "assistant" else "example", turn.content
-    answers = iter(thought.answers)
+    answers = list(thought.answers)
+    left = sum(not one_try.failed for one_try in thought.tries)
     for one_try in thought.tries:
         tokens = f", {one_try.prompt_tokens} + {one_try.answer_tokens} tokens" if one_try.prompt_tokens else ""
         how = f", {one_try.finish}" if one_try.finish else ""
@@ -107,7 +108,9 @@ def _parts(thought: Thought) -> Iterator[tuple[str, str]]:
         yield "failed", one_try.failed
         yield "thinking", one_try.thinking
         if not one_try.failed:
-            yield "answer", next(answers, "")
+            if left <= len(answers):  # a message on the bus has the newest alone
+                yield "answer", answers.pop(0)
+            left -= 1
         yield "unusable", one_try.unusable
     if not thought.tries:
         yield "asked", "no model"

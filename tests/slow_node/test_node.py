@@ -65,6 +65,7 @@ def play(
     embedded: bool = False,
     parser: bool = False,
     asked: Callable[[], object] = lambda: False,
+    thoughts_path: str = "",
 ) -> tuple[list[Reply], list[Directive]]:
     """Run the node on an in-process bus; what it published.
 
@@ -83,6 +84,7 @@ def play(
             embedded=embedded,
             parser=parser,
             api_key_env="FASTSLOW_NO_KEY",
+            thoughts_path=thoughts_path,
         ),
     )
 
@@ -268,6 +270,27 @@ def test_a_superseded_interpretation_hangs_up(bank: str) -> None:
         )
         assert [r.outcome for r in replies] == ["heard", "heard", "superseded", "issued"]
         assert server.hung_up.wait(10)
+
+
+def test_every_thought_is_kept_that_of_a_command_which_was_replaced_too(bank: str, tmp_path: Path) -> None:
+    file = tmp_path / "thoughts.jsonl"
+    with FaultyServer("hang", answer()) as server:
+        play(
+            server.url,
+            bank,
+            look(),
+            say("first things first"),
+            say("a little slower"),
+            asked=lambda: server.bodies,
+            thoughts_path=str(file),
+        )
+    thoughts = [json.loads(line) for line in file.read_text("utf-8").splitlines()]
+    assert [(one["command"], one["outcome"]) for one in thoughts] == [
+        ("first things first", "superseded"),
+        ("a little slower", "issued"),
+    ]
+    assert [one["tries"][0]["failed"] for one in thoughts] == ["given up", ""]
+    assert len({one["command_id"] for one in thoughts}) == 2
 
 
 UNUSABLE = {

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from slow_node.config import THOUGHTS
 from tests.running import HURRY, ROOT, child_of
-from tests.scripted import model_of
+from tests.scripted import SECRET, model_of
 from tests.waiting import until
 
 RUN = [sys.executable, "-m", "deploy", "run", "--port", "0", "--json", "--seed", "3"]
@@ -57,6 +58,9 @@ def test_a_passenger_in_a_hurry_is_taken_past_the_slow_car_as_in_the_papers_case
     assert command["heard_s"] <= command["issued_s"] <= command["fulfilled_s"]
     assert [lane["lane"] for lane in summary["lanes"] if lane["there"]] == [1, 0, 1]
     assert any(e["reason"] == "rear gap in lane" for e in summary["events"] if e["kind"] == "delayed")
+    kept = [file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()]
+    assert not any(SECRET.encode() in file for file in kept)
+    assert HURRY in next(tmp_path.glob(f"runs/*/{THOUGHTS}")).read_text("utf-8")
 
 
 @pytest.mark.timeout(120)

@@ -99,13 +99,30 @@ function section(title, ...nodes) {
   return make("section", {}, make("h3", { textContent: title }), ...nodes);
 }
 
+/** Every exchange with the language model: what failed, what it thought, its raw answer. A message has the newest of each. */
+function triesOf(note, pre) {
+  const wrong = (words) => make("p", { className: "guard", textContent: words });
+  const answers = [...note.answers];
+  let left = note.tries.filter((one) => !one.failed).length;
+  const sections = note.tries.map((one) => {
+    const parts = [];
+    if (one.failed) parts.push(wrong(one.failed));
+    if (one.thinking) parts.push(make("details", {}, make("summary", { textContent: "What it thought" }), pre(one.thinking)));
+    if (!one.failed && left-- <= answers.length) parts.push(pre(answers.shift()));
+    if (one.unusable) parts.push(wrong(`Not usable: ${one.unusable}`));
+    return section(`${note.model}, asked for ${one.asked}: ${one.ms.toFixed(0)} ms`, ...parts);
+  });
+  return [...sections, ...answers.map((answer) => section("Raw answer", pre(answer)))];
+}
+
 /** A thought as a folded card: who decided, then everything that led to it. */
 function thoughtOf(note, open) {
   const spans = Object.entries(note.spans_ms).filter(([, ms]) => ms > 0);
   const total = spans.reduce((sum, [, ms]) => sum + ms, 0);
   const bar = make("div", { className: "spans", "aria-hidden": "true" }, ...spans.map(([, ms]) => { const i = make("i"); i.style.flexGrow = ms; return i; }));
   const legend = make("div", { className: "legend num" }, ...spans.map(([name, ms]) => make("span", { textContent: `${name} ${ms.toFixed(ms < 10 ? 1 : 0)} ms` })),
-    note.prompt_tokens ? make("span", { textContent: `${note.prompt_tokens} tokens in, ${note.answer_tokens} out` }) : null);
+    note.prompt_tokens ? make("span", { textContent: `${note.prompt_tokens} tokens in, ${note.answer_tokens} out` }) : null,
+    note.cost_usd ? make("span", { textContent: `${note.cost_usd.toFixed(5)} USD` }) : null);
   const pre = (words) => make("pre", { textContent: words });
   const none = (words) => make("p", { className: "empty", textContent: words });
   const body = make("div", {});
@@ -115,8 +132,8 @@ function thoughtOf(note, open) {
     body.append(section("Recalled, with its similarity", ...note.recalled.map((m) => make("div", { className: "memory num" }, make("b", { textContent: m.similarity.toFixed(2) }), make("span", { textContent: `“${m.command}”` }), make("small", { textContent: [m.slots, m.outcome].filter(Boolean).join(" · ") })))));
   }
   for (const message of note.prompt) body.append(section(`Prompt: ${message.role}`, pre(message.content)));
-  if (note.answers.length) for (const [i, answer] of note.answers.entries()) body.append(section(i ? "Raw answer, once repaired" : "Raw answer", pre(answer)));
-  else body.append(section("Raw answer", none("The language model was not asked.")));
+  body.append(...triesOf(note, pre));
+  if (!note.tries.length && !note.answers.length) body.append(section("Raw answer", none("The language model was not asked.")));
   body.append(section("What the guards changed", note.guards.length ? make("ul", {}, ...note.guards.map((g) => make("li", { className: "guard", textContent: g }))) : none("Nothing.")));
   if (note.slots) body.append(section("Taken as", pre(note.slots)));
   return make("details", { className: "thought", id: `thought-${note.command_id}`, open },
