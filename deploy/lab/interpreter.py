@@ -35,6 +35,8 @@ def running_interpreter(
     """An interpreter and, where it may ask it, the embedded model's process. Raises `ConfigError`."""
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that the model ends with us
     chosen = choose_model(model)
+    if not chosen.embedded and ask != "never":
+        print(f"fastslow: asks {chosen.where}", file=sys.stderr)
     server: Launched | None = None
     try:
         if chosen.embedded and ask != "never":
