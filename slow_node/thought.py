@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -16,6 +15,7 @@ from msgspec.structs import replace
 
 from schemas.runtime.process import log
 from schemas.wire.messages import Recalled, Thought, Try, Turn
+from schemas.wire.text import json_line
 from slow_node.llm.dialect import Chat
 from slow_node.llm.model import Call
 from slow_node.memory.bank import Example
@@ -152,8 +152,8 @@ class ThoughtsFile:
         try:
             if self._path.exists() and self._path.stat().st_size > FILE_BYTES:
                 os.replace(self._path, self._path.with_suffix(".old.jsonl"))
-            with self._path.open("a", encoding="utf-8", errors="replace") as file:
-                file.write(json.dumps(line, ensure_ascii=False) + "\n")
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(json_line(line) + "\n")
         except OSError as error:
             log("slow", "thoughts", f"no thought is kept in {self._path} any more: {error.strerror}")
             self._path = None

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from schemas.wire.text import json_line, plain
+
 if TYPE_CHECKING:
     from slow_node.memory.bank import Example, Memory
 
@@ -64,12 +66,10 @@ def list_(
 
     A line is: id, how often fulfilled, last outcome, its time, smallest time to collision, command, decision.
     """
-    from schemas.wire.text import plain
-
     with _bank(bank) as memory:
         rows = [_row(e) for e in memory.examples() if shipped or not e.shipped]
     if as_json:
-        typer.echo(json.dumps(rows, ensure_ascii=False))
+        typer.echo(json_line(rows))
         return
     for row in rows:
         times = f"{row['fulfilled']}/{row['fulfilled'] + row['failed']}"
@@ -89,7 +89,7 @@ def show(
     """What the car would recall for a command, nearest first, as JSON lines."""
     with _bank(bank) as memory:
         for example in memory.nearest(command, k):
-            typer.echo(json.dumps({"cosine": round(example.cosine, 3), **_row(example)}, ensure_ascii=False))
+            typer.echo(json_line({"cosine": round(example.cosine, 3), **_row(example)}))
 
 
 @app.command()
@@ -108,7 +108,7 @@ def forget(
 def export(target: Annotated[str, typer.Argument(help='A file, or "-".')] = "-", bank: Bank = None) -> None:
     """Write what was learnt as JSON lines."""
     with _bank(bank) as memory:
-        lines = "".join(json.dumps(_row(e), ensure_ascii=False) + "\n" for e in memory.examples() if not e.shipped)
+        lines = "".join(json_line(_row(e)) + "\n" for e in memory.examples() if not e.shipped)
     if target == "-":
         sys.stdout.write(lines)
     else:

@@ -18,6 +18,7 @@ from schemas.driving.measures import CAR_LENGTH_M
 from schemas.runtime.process import CONFIG, FAILED, OK, USAGE, ConfigError
 from schemas.wire.messages import Directive, Lane, Observation
 from schemas.wire.program import Program, plain
+from schemas.wire.text import json_line
 from slow_node.interpreter import Interpreter
 from slow_node.planning.directive import ASKS, Refusal, directive_of
 from slow_node.planning.scene import Scene, encode_scene
@@ -228,7 +229,7 @@ def batch(source: str, target: str, scene_path: Path | None, **options: Any) -> 
         with _open(target) as out, running_interpreter(**options) as interpreter:
 
             def write(row: dict[str, Any]) -> None:
-                out.write(json.dumps(row, ensure_ascii=False) + "\n")
+                out.write(json_line(row) + "\n")
                 out.flush()
 
             done, errors = interpret_lines(lines, default, interpreter, write)

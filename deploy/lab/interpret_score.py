@@ -14,6 +14,7 @@ from deploy.lab.interpret import DEFAULT_SCENE, interpret_lines, scene_of
 from deploy.lab.interpreter import running_interpreter
 from deploy.run.processes import ModelOptions
 from schemas.runtime.process import CONFIG, OK, ConfigError
+from schemas.wire.text import json_line
 from slow_node.evaluation.score import DEV_SET, read_lines, score, table
 
 SETS = ("dev", "blind")
@@ -59,7 +60,7 @@ def score_set(name: str, *, as_json: bool, per_kind: int | None, output: str, **
         return CONFIG
     rows = result.pop("rows")
     if output != "-":
-        Path(output).write_text("".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows), "utf-8")
+        Path(output).write_text("".join(json_line(row) + "\n" for row in rows), "utf-8")
     if as_json:
         print(json.dumps(result))
     else:

@@ -17,7 +17,14 @@ from slow_node.llm.answer import Answer, read_answer, told
 from slow_node.llm.breaker import Breaker
 from slow_node.llm.dialect import FORMATS, TEXT, Change, Chat, Dialect, Learnt
 from slow_node.llm.endpoint import is_loopback, is_passed_on
-from slow_node.llm.errors import ModelAnswerError, ModelError, ModelTimeoutError, ModelUnreachableError, http_error
+from slow_node.llm.errors import (
+    ModelAnswerError,
+    ModelError,
+    ModelRefusedError,
+    ModelTimeoutError,
+    ModelUnreachableError,
+    http_error,
+)
 from slow_node.llm.transport import Response, Transport
 
 RETRIES = 2
@@ -93,6 +100,11 @@ class ChatModel:
         except ModelError:
             self._breaker.failed()
             raise
+        except Exception as error:  # of ours or a library's: whoever asks has a stand-in for a model, not for this
+            self._breaker.failed()
+            raise ModelRefusedError(
+                f"asking the model broke: {type(error).__name__}: {plain(str(error), 120)}"
+            ) from error
         except BaseException:
             self._breaker.dropped()
             raise

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
+
 from hypothesis import given
 from hypothesis import strategies as st
 
 from deploy.run.status import Live
 from schemas.wire.messages import Reply
-from schemas.wire.text import plain
+from schemas.wire.text import json_line, plain
 
 NASTY = "\x1b]0;owned\x07\x1b[2J done\nheard \u009b1mforged \x7f \u202eright to left \u2028 next \ud800"
 
@@ -19,6 +21,13 @@ def test_any_text_is_one_line_that_a_terminal_takes_for_nothing_else(text: str, 
     assert not [c for c in shown if c < " " or "\x7f" <= c <= "\x9f" or c in "\u2028\u2029\u202e"]
     shown.encode()
     assert plain(shown) == shown
+
+
+@given(st.text())
+def test_json_is_fit_for_a_terminal_and_loses_nothing(text: str) -> None:
+    line = json_line({"text": text})
+    assert json.loads(line) == {"text": text}
+    assert not [c for c in line if c < " " or "\x7f" <= c <= "\x9f" or c == "\u202e"]
 
 
 def test_words_keep_their_letters_signs_and_pictures() -> None:

@@ -97,6 +97,12 @@ def test_a_key_that_no_header_can_carry_is_an_error_that_does_not_quote_it() -> 
     assert "schl" not in error
 
 
+def test_a_fault_of_ours_is_an_error_that_somebody_can_stand_in_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slow_node.llm.model.read_answer", lambda _: [][0])
+    with FaultyServer(answer()) as server:
+        assert said(server.url) == "asking the model broke: IndexError: list index out of range"
+
+
 @pytest.mark.parametrize(
     ("text", "why"),
     [
