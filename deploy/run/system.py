@@ -33,7 +33,7 @@ from schemas.runtime.process import CONFIG, FAILED, OK, TRY_AGAIN, ConfigError
 from schemas.runtime.realtime import trial
 from schemas.wire import topics
 from schemas.wire.messages import Command, Status
-from schemas.wire.text import plain
+from schemas.wire.text import printable
 
 STEP_S = 0.05
 OVERTIME_S = 5.0
@@ -172,7 +172,7 @@ class _Run:
 
     def _print(self, line: str) -> None:
         try:
-            print(f"{' ' * (len(line) - len(line.lstrip(' ')))}{plain(line)}", file=self._out, flush=True)
+            print(printable(line), file=self._out, flush=True)
         except BrokenPipeError:  # nobody reads any more; the car drives on, and the run folder has it all
             self._out = open(os.devnull, "w")  # noqa: SIM115 - as long as the process
 
@@ -180,7 +180,7 @@ class _Run:
         json.dump({"t_ns": time.monotonic_ns(), "node": "supervisor", "event": "notice", "detail": line}, self._log)
         self._log.write("\n")
         self._log.flush()
-        self._print(f"  {plain(line)}")
+        self._print(f"  {line}")
 
     def _unready(self) -> str:
         return ", ".join(name for name, state in self._supervisor.states.items() if state in ("waiting", "starting"))

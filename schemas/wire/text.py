@@ -19,12 +19,16 @@ def json_line(value: object) -> str:
     return _UNSHOWN.sub(lambda unshown: f"\\u{ord(unshown.group()):04x}", line)
 
 
-def plain(text: str, most: int | None = None) -> str:
-    """The text on one line, without control characters and marks of direction; at most so many characters of it."""
-    shown = "".join(
+def printable(text: str) -> str:
+    """The text with a blank for every control character, and without marks of direction; its own blanks stay."""
+    return "".join(
         " " if unicodedata.category(c) in ("Cc", "Zl", "Zp") else c
         for c in text
         if c not in _TURNING and unicodedata.category(c) != "Cs"
     )
-    line = " ".join(shown.split())
+
+
+def plain(text: str, most: int | None = None) -> str:
+    """The same with single blanks; at most so many characters of it."""
+    line = " ".join(printable(text).split())
     return line if most is None or len(line) <= most else f"{line[: most - 1]}…"
