@@ -12,6 +12,8 @@ from hypothesis import HealthCheck, settings
 from tests import guards
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the nodes' own __main__ do, before NumPy loads
+for name in ("OPENAI_API_KEY", "OPENAI_BASE_URL", "OPENAI_MODEL", "OLLAMA_HOST"):
+    os.environ.pop(name, None)  # a developer's own endpoint is no part of a test
 
 # "default" draws the same examples every time, so that one revision of the code has one verdict. To hunt for new
 # counter-examples: pytest --hypothesis-profile=search, which draws others each time, and ten times as many.

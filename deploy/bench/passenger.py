@@ -18,6 +18,7 @@ import psutil
 
 from deploy.bench.machine import host, rss_mb
 from deploy.run.launch import answers, children, environment
+from deploy.run.model_choice import VARIABLES
 from deploy.run.processes import TCP_HOST, free_port
 from schemas.runtime.bus import Bus, BusConfig, BusError, open_bus
 from schemas.runtime.clock import NS
@@ -193,7 +194,7 @@ def _riding(
     Raises `ConfigError` if it does not come up.
     """
     port = free_port()
-    env = {k: v for k, v in environment().items() if not k.startswith("OPENAI_")}
+    env = {k: v for k, v in environment().items() if k not in VARIABLES}
     env |= {"FASTSLOW_DATA": str(folder / "data"), **model_env}
     options = [word for name in without for word in ("--without", name)]
     due = time.monotonic() + START_S

@@ -100,6 +100,8 @@ def running_model(threads: int = 1) -> Iterator[Ask]:
     """The endpoint that the environment names, or the embedded model's process. Raises `ConfigError`."""
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that the model ends with us
     chosen = choose_model()
+    if not chosen.embedded:
+        print(f"fastslow: asks {chosen.where}", file=sys.stderr)
     server = embedded_server(chosen.port, threads, adapter=False, weights=chosen.weights) if chosen.embedded else None
     try:
         if chosen.embedded and server is None:

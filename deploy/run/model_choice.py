@@ -19,6 +19,8 @@ from slow_node.llm.errors import ModelError
 from slow_node.llm.transport import Transport
 
 KEY = "OPENAI_API_KEY"
+VARIABLES = (KEY, "OPENAI_BASE_URL", "OPENAI_MODEL", "OLLAMA_HOST")
+"""What names an endpoint."""
 LIST_S = 5.0
 """How long an endpoint may take to list its models."""
 SHOWN = 6

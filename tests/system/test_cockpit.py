@@ -74,7 +74,7 @@ class Run:
 
 @contextmanager
 def system(folder: Path, *options: str) -> Iterator[Run]:
-    env = {k: v for k, v in os.environ.items() if not k.startswith("OPENAI_")}
+    env = dict(os.environ)
     with (folder / "said").open("wb") as out:
         process = subprocess.Popen(
             [sys.executable, "-m", "deploy", "run", "--port", "0", "--cockpit-port", "0", *options],

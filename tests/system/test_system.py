@@ -22,8 +22,7 @@ pytestmark = pytest.mark.realtime
 
 
 def start(tmp_path: Path, *more: str, **model_env: str) -> subprocess.Popen[str]:
-    env = {k: v for k, v in os.environ.items() if not k.startswith("OPENAI_")}
-    env |= {"PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(tmp_path), **model_env}
+    env = os.environ | {"PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(tmp_path), **model_env}
     return subprocess.Popen(
         [*RUN, *more], cwd=tmp_path, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     )
