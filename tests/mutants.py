@@ -59,6 +59,7 @@ class Part(NamedTuple):
 
 PARTS = {
     "codec": Part("schemas/wire/codec.py", ("tests/schemas/wire/test_codec.py", "tests/schemas/wire/test_contract.py")),
+    "bounds": Part("schemas/wire/bounds.py", ("tests/schemas/wire/test_bounds.py",)),
     "coordination": Part(
         "fast_node/coordination.py",
         (
