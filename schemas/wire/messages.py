@@ -31,8 +31,7 @@ ROW_COLUMNS = ("id", "x_m", "y_m", "vx_mps", "vy_mps", "heading_rad", "length_m"
 """Layout `rows/1` of `Observation.rows`: one little-endian float32 row per vehicle, the ego first, then by distance.
 
 `id` is stable within an epoch (the ego is 0); `x_m`, `y_m` are the vehicle's centre in the road frame; `lane` is the
-index in `Observation.lanes` of the lane that its centre is in.
-"""
+index in `Observation.lanes` of the lane that its centre is in."""
 ROW_LAYOUT = "rows/1"
 
 

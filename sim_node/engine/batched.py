@@ -14,7 +14,7 @@ from highway_env.road.road import Road
 from numpy.typing import NDArray
 
 from schemas.driving.measures import CAR_LENGTH_M
-from schemas.driving.road import DT_S, HZ, LENGTH, WIDTH
+from schemas.driving.road import DT_S, HZ, LANE_END, LENGTH, WIDTH
 from schemas.runtime.compiled import compiled
 from schemas.wire.messages import ROW_COLUMNS
 from sim_node.actuator import check
@@ -174,7 +174,7 @@ class Batched:
         if self._actuator:
             e = self._ego
             _check(
-                self.rows, self.lane_y, self._view.lanes[:, 2], e.target_lane, e.previous_lane, meta,
+                self.rows, self.lane_y, self._view.lanes[:, LANE_END], e.target_lane, e.previous_lane, meta,
                 self._done, self.refused,
             )  # fmt: skip
             meta = self._done
