@@ -4,7 +4,7 @@ BIN := .venv/bin
 TEXT ?= I'm in a hurry to get to work, I want to drive faster
 export TEXT
 
-.PHONY: setup setup-dev run say test parity difficulty study policy baselines film picture check mutants wheel-test clean
+.PHONY: setup setup-dev run say test parity difficulty study policy baselines film picture check mutants faults wheel-test clean
 .DEFAULT_GOAL := run
 
 # What driving, speaking and evaluating need: no torch.
@@ -86,6 +86,10 @@ mutants: setup-dev
 # The wheel in an environment of its own, in a folder that has its own schemas/ and deploy/.
 wheel-test: setup
 	$(BIN)/python -m tests.wheel
+
+# Every fault of tests/faults.toml, caused for real: reports/faults.md and .json.
+faults: setup-dev
+	$(BIN)/python -m tests.faults $(ARGS)
 
 clean:
 	rm -rf .venv runs build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

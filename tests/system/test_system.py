@@ -5,27 +5,17 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from slow_node.config import THOUGHTS
-from tests.running import HURRY, ROOT, child_of
+from tests.running import HURRY, child_of, start
 from tests.scripted import SECRET, model_of
 from tests.waiting import until
 
-RUN = [sys.executable, "-m", "deploy", "run", "--port", "0", "--json", "--seed", "3"]
 pytestmark = pytest.mark.realtime
-
-
-def start(tmp_path: Path, *more: str, **model_env: str) -> subprocess.Popen[str]:
-    env = os.environ | {"PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(tmp_path), **model_env}
-    return subprocess.Popen(
-        [*RUN, *more], cwd=tmp_path, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-    )
 
 
 def heard(folder: Path) -> bool:

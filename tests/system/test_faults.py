@@ -1,0 +1,188 @@
+"""Faults that are caused for real while the car drives: the rows of `tests/faults.toml` that need the whole system."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from deploy.run.processes import TCP_HOST, free_port
+from schemas.runtime.bus import BusConfig, ZenohBus, open_bus
+from schemas.wire import topics
+from schemas.wire.codec import encode
+from schemas.wire.messages import Action, Directive, MetaAction, Observation
+from tests.running import child_of, start
+from tests.waiting import until
+
+pytestmark = [pytest.mark.realtime, pytest.mark.slow, pytest.mark.timeout(120)]
+Record = Callable[[str, object], None]
+
+TIRING = """
+import time
+import numpy as np
+
+class Tiring:
+    asked = 0
+
+    def logits(self, x):
+        self.asked += 1
+        if self.asked > 30:
+            time.sleep(0.2)
+        return np.zeros((*x.shape[:-2], 5), np.float32)
+
+load = Tiring
+"""
+
+
+@dataclass
+class Drive:
+    """A run, and a client on its bus."""
+
+    process: subprocess.Popen[str]
+    bus: ZenohBus
+
+    def __post_init__(self) -> None:
+        self.seen = self.bus.subscribe(topics.OBSERVATION)
+        until(lambda: self.seen.peek() is not None, "nothing drives")
+
+    @property
+    def newest(self) -> Observation:
+        found = self.seen.peek()
+        assert found is not None
+        return found
+
+    def applies_actions(self) -> bool:
+        """Whether the newest tick but one was answered."""
+        return 0 <= self.newest.applied_tick == self.newest.tick - 1
+
+    def end(self) -> dict[str, Any]:
+        """The summary of the run, which is ended now."""
+        self.process.send_signal(signal.SIGINT)
+        out, _ = self.process.communicate(timeout=60)
+        summary: dict[str, Any] = json.loads(out)
+        return summary
+
+
+@contextmanager
+def driving(folder: Path, *more: str) -> Iterator[Drive]:
+    port = free_port()
+    process = start(folder, "--port", str(port), "--scenario", "highway", "--without", "slow", "--no-cockpit", *more)
+    config = BusConfig(mode="client", connect=(f"tcp/{TCP_HOST}:{port}",))
+    try:
+        until(lambda: any(c.status is not None for c in connections(process.pid, port)), "nobody listens")
+        with open_bus(config) as bus:
+            yield Drive(process, bus)
+    finally:
+        process.kill()
+        process.communicate(timeout=60)
+
+
+def connections(pid: int, port: int) -> list[Any]:
+    return [c for c in psutil.Process(pid).net_connections("tcp") if c.laddr and c.laddr.port == port]
+
+
+def alive(process: psutil.Process) -> bool:
+    """Whether it does anything: one that nobody has buried yet does not."""
+    try:
+        return bool(process.status() != psutil.STATUS_ZOMBIE)
+    except psutil.Error:
+        return False
+
+
+@pytest.mark.parametrize(
+    ("victim", "number"), [("fast_node", signal.SIGKILL), ("fast_node", signal.SIGSTOP), ("sim_node", signal.SIGKILL)]
+)
+def test_a_node_that_is_killed_or_hangs_comes_back_and_the_car_hits_nobody(
+    victim: str, number: int, tmp_path: Path, record_property: Record
+) -> None:
+    with driving(tmp_path) as drive:
+        until(drive.applies_actions, "the fast node does not drive")
+        epoch, before = drive.newest.epoch, child_of(drive.process.pid, victim)
+        hit_s = time.monotonic()
+        os.kill(before, number)
+        until(lambda: child_of(drive.process.pid, victim) not in (0, before), f"{victim} did not come back")
+        until(lambda: victim == "fast_node" or drive.newest.epoch > epoch, "no new world")
+        until(lambda: not drive.applies_actions() or victim == "sim_node", "it was not missed")
+        until(drive.applies_actions, "it does not drive again")
+        back_s, new_world = time.monotonic() - hit_s, drive.newest.epoch > epoch
+        summary = drive.end()
+    record_property("measured", f"drives again after {back_s:.1f} s, {summary['failsafes']} fail-safe ticks")
+    assert (summary["collisions"], summary["restarts"]) == (0, 1)
+    assert new_world == (victim == "sim_node")
+
+
+def test_a_stranger_on_the_bus_neither_drives_the_car_nor_stops_it_and_is_told_of(
+    tmp_path: Path, record_property: Record
+) -> None:
+    with driving(tmp_path) as drive:
+        until(drive.applies_actions, "the fast node does not drive")
+        first, restarts = drive.newest, child_of(drive.process.pid, "fast_node")
+        bad = Directive(
+            epoch=first.epoch, stamp_ns=0, id=1, command_id=1, scene_tick=0, target_speed_mps=math.nan, ttl_s=math.inf
+        )
+        future = Directive(epoch=first.epoch, stamp_ns=0, id=2**63 - 1, command_id=1, scene_tick=0, target_lane=0)
+        tick = first.tick
+        while drive.newest.tick < first.tick + 60:
+            if drive.newest.tick == tick:
+                time.sleep(0.001)
+                continue
+            tick, epoch = drive.newest.tick, drive.newest.epoch
+            for stray in (epoch - 1, epoch, epoch + 1):
+                answer = Action(
+                    epoch=stray, stamp_ns=0, answers_tick=tick, meta_action=int(MetaAction.LEFT), source="policy"
+                )
+                drive.bus.publish(topics.ACTION, answer)
+            drive.bus.publish(topics.DIRECTIVE, future)
+            for topic in topics.TOPICS:
+                drive.bus.publish_bytes(topic, os.urandom(200))
+            drive.bus.publish_bytes(topics.DIRECTIVE, encode(bad))
+            drive.bus.publish_bytes(topics.OBSERVATION, b"\xff" * 150_000)
+        assert child_of(drive.process.pid, "fast_node") == restarts
+        time.sleep(0.5)  # two heartbeats
+        summary = drive.end()
+    unanswered = summary["ticks"] - summary["answered"]
+    told = f"{summary['strays']} strays, {sum(summary['refused_payloads'].values())} payloads refused"
+    record_property("measured", f"{unanswered} of {summary['ticks']} ticks unanswered, {told}")
+    assert (summary["collisions"], summary["restarts"]) == (0, 0)
+    assert unanswered <= 6
+    assert summary["strays"] > 60
+    assert {"directive", "observation", "status", "event"} <= set(summary["refused_payloads"])
+
+
+def test_a_policy_that_turns_slow_is_replaced_in_time_and_the_car_counts_as_degraded(
+    tmp_path: Path, record_property: Record
+) -> None:
+    (tmp_path / "tiring.py").write_text(TIRING)
+    with driving(tmp_path, "--policy", "tiring:load") as drive:
+        until(drive.applies_actions, "nothing drives")
+        first = drive.newest.tick
+        until(lambda: drive.newest.tick > first + 75, "the world stands still")
+        summary = drive.end()
+    degraded = [mode for mode in summary["modes"] if mode["mode"] == "DEGRADED"]
+    unanswered = summary["ticks"] - summary["answered"]
+    record_property("measured", f"{unanswered} of {summary['ticks']} ticks unanswered, {len(degraded)} time DEGRADED")
+    assert (len(degraded), summary["collisions"]) == (1, 0)
+    assert "the policy" in degraded[0]["why"]
+    assert unanswered <= 5
+
+
+def test_when_the_supervisor_is_killed_nothing_is_left(tmp_path: Path, record_property: Record) -> None:
+    with driving(tmp_path) as drive:
+        children = psutil.Process(drive.process.pid).children(recursive=True)
+        drive.process.kill()
+        deadline_s = time.monotonic() + 2.0
+        while (left := [c for c in children if alive(c)]) and time.monotonic() < deadline_s:
+            time.sleep(0.01)
+        record_property("measured", f"{len(left)} of {len(children)} processes left after 2 s")
+        assert left == []
