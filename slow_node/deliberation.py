@@ -7,6 +7,9 @@ when its road changes: the car ahead is passed, the fast node delays the directi
 is ahead of somebody in a hurry. The words have not changed then, so no model is asked: the same slots are planned for
 the present scene, by the rules of `slow_node.planning.directive`, at most once in `REPLAN_EVERY_S`.
 
+A command is a program (`slow_node.agenda`): its steps begin at once, one after the other, or when what they wait for
+has come, which is watched at every scene, for a minute at most.
+
 A hurry and a time gap stand on after they were fulfilled, without further replies: the next slow car is overtaken too,
 and where the hurry took the ego to the left on a one-way road it is sent back to the right once that is free. All else
 ends with its fulfilment: the fast node keeps the speed and the lane that it has reached.
@@ -22,55 +25,25 @@ from schemas.driving.measures import INF
 from schemas.runtime.clock import NS
 from schemas.wire import topics
 from schemas.wire.messages import Command, Directive, Event, EventKind, Reply, ReplyOutcome
+from schemas.wire.program import Program, Trigger
+from slow_node.agenda import WAIT_MAX_S, Agenda, told, watch
+from slow_node.dialogue import Said, follows, resolved
+from slow_node.effects import Abandon, Effect, Interpret
 from slow_node.interpreter import Interpretation
-from slow_node.planning.directive import Refusal, asks_the_same, directive_of, issued, return_directive
+from slow_node.planning.answers import Answers, waits_sentence
+from slow_node.planning.directive import Refusal, asks_the_same, directive_of, return_directive
 from slow_node.planning.replies import sentence
 from slow_node.planning.scene import Scene
 from slow_node.pursuit import Pursuit
+from slow_node.understanding.reading.values import steps_of
 from slow_node.understanding.slots import Slots
+from slow_node.voice import Voice
 
 SCENE_MAX_AGE_S, SPARE_S = 10.0, 2.0
 RENEW_BEFORE_S = 3.0
 REPLAN_EVERY_S = 3.0
 PURSUIT_MAX_S = 120.0
 """What has not come true by then is given up, rather than renewed for ever."""
-TEXT_CHARS = 200
-
-
-@dataclass(frozen=True)
-class Interpret:
-    """Effect: find out what a command means. At most one is in flight; a newer one replaces it."""
-
-    id: int
-    command: str
-    scene: Scene
-    delayed: str = ""
-    """The manoeuvre before it that the fast node is delaying; "" where there is none."""
-    delayed_by: str = ""
-    """The rule by which it does."""
-
-
-@dataclass(frozen=True)
-class Abandon:
-    """Effect: the interpretation in flight is of no use any more."""
-
-
-@dataclass(frozen=True)
-class Remember:
-    """Effect: keep a decision and what came of it in the memory bank."""
-
-    command: str
-    scene: Scene
-    slots: Slots
-    outcome: str
-    """"fulfilled", "expired", "superseded" or "cancelled"; with the reason that held it up, where one did."""
-    took_s: float
-    """From the directive to its end."""
-    min_ttc_s: float
-    """Smallest time to collision meanwhile (`Scene.ttc_s`); inf: the ego never closed in on anybody."""
-
-
-Effect = Interpret | Abandon | Remember | Directive | Reply
 
 
 @dataclass(frozen=True)
@@ -80,25 +53,19 @@ class _Pending:
     scene: Scene
 
 
-class Deliberation:
+class Deliberation(Voice):
     """Commands, scenes, events and interpretations in; effects out."""
 
     def __init__(self, budget_s: float = 0.0) -> None:
         """budget_s: what an interpretation may take. One that took little longer counts."""
+        super().__init__()
         self._thinks_at_most_s = max(SCENE_MAX_AGE_S, budget_s + SPARE_S)
-        self._scene: Scene | None = None
         self._held: Command | None = None
         """A command that came before the first observation."""
         self._pending: _Pending | None = None
         self._pursuit: Pursuit | None = None
-        self._language = "en"
-        self._last_id = 0
-        self._asked = 0
-        self.metrics: dict[str, float] = {"commands": 0, "directives": 0, "refused": 0, "replans": 0}
-
-    @property
-    def epoch(self) -> int:
-        return self._scene.epoch if self._scene else 0
+        self._said: Said | None = None
+        self._asked_for = 0
 
     def refuse_payload(self, why: str, command_id: int, now_ns: int) -> list[Effect]:
         """A payload that is no command."""
@@ -143,13 +110,12 @@ class Deliberation:
         if now_ns - scene.stamp_ns > SCENE_MAX_AGE_S * NS:
             why = "the car's surroundings are unknown: no recent observation"
             return [self._refused(command, why, "blind", now_ns)]
-        self._asked += 1
-        self._pending = _Pending(self._asked, command, scene)
+        self._asked_for += 1
+        self._pending = _Pending(self._asked_for, command, scene)
         before = self._pursuit
-        if before is not None and before.delayed_by and not before.fulfilled:
-            delayed = before.directive.manoeuvre
-            return [Interpret(self._asked, command.text, scene, delayed, before.delayed_by)]
-        return [Interpret(self._asked, command.text, scene)]
+        held_up = before is not None and before.delayed_by and not before.fulfilled
+        delayed = (before.directive.manoeuvre, before.delayed_by) if before is not None and held_up else ("", "")
+        return [Interpret(self._asked_for, command.text, scene, *delayed)]
 
     def on_interpretation(self, identity: int, found: Interpretation, now_ns: int) -> list[Effect]:
         """One has ended: the gates, in order, are its schema, the road, and how old its scene is.
@@ -168,12 +134,109 @@ class Deliberation:
             return [self._refused(command, found.why, "unclear", now_ns)]
         self._language = found.slots.language
         scene, late = self._scene_of(pending, now_ns)
-        draft = directive_of(found.slots, scene)
+        program = found.program or Program(outcome=found.slots.outcome, steps=steps_of(found.slots))
+        if program.question and not program.steps:
+            say = Answers(scene, self._pursuit, self._agenda, self._language, program.miles).to(program.question)
+            return [self._reply(command, "fulfilled", now_ns, say=say, why=f"a question: {program.question}")]
+        if follows(program.steps):
+            steps = resolved(program.steps[0].act, self._said) if self._said is not None else ()
+            if not steps and not found.slots.cancel:
+                return [self._refused(command, "unclear command: no wish before it to go by", "no_wish_before", now_ns)]
+            program = structs.replace(program, outcome="directive", steps=steps or steps_of(found.slots))
+        elif program.outcome != "directive" or not program.steps or found.slots.outcome != "directive":
+            refusal = directive_of(found.slots, scene)
+            if isinstance(refusal, Refusal):
+                return [self._refused(command, found.why or refusal.why, "", now_ns, say=refusal.say)]
+        return self._undertake(command, program, found, scene, late, now_ns)
+
+    def _undertake(
+        self, command: Command, program: Program, found: Interpretation, scene: Scene, late: bool, now_ns: int
+    ) -> list[Effect]:
+        """Begin a program's first stage, or wait for what it waits for."""
+        when = program.steps[0].when
+        waits = watch(when, scene, now_ns) if when is not None and when.kind != "done" else None
+        agenda = Agenda(command, program, self._language, 0, waits)
+        slots = agenda.asked(scene)
+        if found.slots is not None and len(agenda.parts) == 1 and waits is None:
+            slots = slots.model_copy(update={"say": found.slots.say, "reasoning": found.slots.reasoning})
+        draft = directive_of(slots, scene)
         if isinstance(draft, Refusal):
             return [self._refused(command, found.why or draft.why, "", now_ns, say=draft.say)]
         if late:
             return [self._refused(command, "the answer came too late for its scene", "again", now_ns)]
-        return self._begin(command, found.slots, found.why, scene, draft, now_ns)
+        dropped = self._drop_agenda("cancelled" if slots.cancel else "superseded", now_ns)
+        self._said = Said(program.steps, scene)
+        if waits is not None and not waits.due(scene, now_ns):
+            self._agenda = agenda
+            return [*dropped, *self._waiting(agenda, draft.say, now_ns)]
+        self._agenda = agenda.under_way(scene, now_ns)
+        return [*dropped, *self._begin(command, slots, found.why, scene, draft, now_ns)]
+
+    def _waiting(self, agenda: Agenda, then: str, now_ns: int) -> list[Effect]:
+        """Say what a command waits for, and what comes then."""
+        trigger = agenda.waits.trigger if agenda.waits is not None else Trigger(kind="done")
+        say = waits_sentence(trigger, then, agenda.language, agenda.program.miles)
+        reply = self._reply(
+            agenda.command, "heard", now_ns, say=say, why=f"waits for {told(trigger)}", waits=told(trigger)
+        )
+        return [reply, self._event(EventKind.WAITING, agenda, trigger, now_ns)]
+
+    def _look_after(self, agenda: Agenda, scene: Scene, now_ns: int) -> list[Effect]:
+        """What the agenda asks for now: a stage whose trigger has come, the end of one that lasts, giving up."""
+        if agenda.waits is not None:
+            if agenda.waits.due(scene, now_ns):
+                return [
+                    self._event(EventKind.DUE, agenda, agenda.waits.trigger, now_ns),
+                    *self._next(agenda, scene, now_ns),
+                ]
+            if agenda.given_up(now_ns):
+                self._agenda = None
+                why = f"{told(agenda.waits.trigger)} did not come within {WAIT_MAX_S:.0f} s"
+                say = sentence("waited_in_vain", agenda.language)
+                return [self._reply(agenda.command, "expired", now_ns, why=why, say=say)]
+            return []
+        if agenda.lasts is None or not agenda.lasts.due(scene, now_ns):
+            return []
+        event = self._event(EventKind.DUE, agenda, agenda.lasts.trigger, now_ns)
+        if agenda.next_trigger is not None:
+            return [event, *self._move_on(agenda, scene, now_ns)]
+        over = Slots(outcome="directive", cancel=True, language=agenda.language)
+        draft = directive_of(over, scene)
+        self._agenda, self._pursuit = None, None
+        assert isinstance(draft, Directive)  # normal driving is never refused
+        directive = self._directive(agenda.command, draft, scene, "its time is over", now_ns)
+        return [event, directive, self._done(agenda.command, over, directive.id, now_ns)]
+
+    def _move_on(self, agenda: Agenda, scene: Scene, now_ns: int) -> list[Effect]:
+        """From a stage that is done to the next one, at once or after what that waits for."""
+        following = agenda.moved_on(scene, now_ns)
+        if following is None:
+            return []
+        if following.waits is None or following.waits.due(scene, now_ns):
+            return self._next(following, scene, now_ns)
+        self._agenda = following
+        return self._waiting(following, directive_of(following.asked(scene), scene).say, now_ns)
+
+    def _next(self, agenda: Agenda, scene: Scene, now_ns: int) -> list[Effect]:
+        """Begin the stage of an agenda."""
+        slots = agenda.asked(scene)
+        draft = directive_of(slots, scene)
+        if isinstance(draft, Refusal):
+            self._agenda = None
+            return [self._reply(agenda.command, "failed", now_ns, why=draft.why, say=draft.say)]
+        self._agenda = agenda.under_way(scene, now_ns)
+        return self._begin(agenda.command, slots, "", scene, draft, now_ns)
+
+    def _drop_agenda(self, outcome: ReplyOutcome, now_ns: int) -> list[Effect]:
+        """A newer command has come: what still waited is given up, and its passenger hears so once."""
+        agenda, pursuit = self._agenda, self._pursuit
+        self._agenda = None
+        if agenda is None or agenda.waiting() is None:
+            return []
+        if pursuit is not None and pursuit.command.id == agenda.command.id and not pursuit.fulfilled:
+            return []
+        say = sentence(outcome, agenda.language)
+        return [self._reply(agenda.command, outcome, now_ns, say=say, why="by a newer command")]
 
     def _scene_of(self, pending: _Pending, now_ns: int) -> tuple[Scene, bool]:
         """The scene to plan an answer for, and whether it came too late.
@@ -209,6 +272,14 @@ class Deliberation:
             held, self._held = self._held, None
             return self._ask(held, scene, now_ns)
         pursuit = self._pursuit
+        if self._agenda is not None:
+            if before is not None and before.epoch != scene.epoch and self._agenda.waits is not None:
+                gone, self._agenda = self._agenda, None
+                say = sentence("waited_in_vain", gone.language)
+                return [self._reply(gone.command, "expired", now_ns, why="the world was reset", say=say)]
+            due = self._look_after(self._agenda, scene, now_ns)
+            if due:
+                return due
         if pursuit is None:
             return []
         if before is None or before.epoch != scene.epoch:
@@ -230,7 +301,7 @@ class Deliberation:
     ) -> list[Effect]:
         effects: list[Effect] = []
         old = self._pursuit
-        if old is not None and not old.fulfilled:
+        if old is not None and not old.fulfilled and old.command.id != command.id:
             outcome: ReplyOutcome = "cancelled" if slots.cancel else "superseded"
             say = sentence(outcome, old.slots.language)
             effects.append(self._reply(old.command, outcome, now_ns, say=say, why="by a newer command"))
@@ -256,6 +327,13 @@ class Deliberation:
         if pursuit.fulfilled and directive_id != directive.id:
             return []
         effects: list[Effect] = []
+        agenda = self._agenda
+        if agenda is not None and agenda.command.id == pursuit.command.id and not pursuit.fulfilled:
+            if agenda.lasts is not None:
+                return []  # it is done when it has lasted
+            if agenda.next_trigger is not None:
+                self._pursuit = replace(pursuit, fulfilled=True)
+                return [self._remember(pursuit, "fulfilled", now_ns), *self._move_on(agenda, scene, now_ns)]
         if not pursuit.fulfilled:
             effects = [
                 self._done(pursuit.command, pursuit.slots, directive_id, now_ns),
@@ -337,6 +415,8 @@ class Deliberation:
 
     def _expire(self, pursuit: Pursuit, why: str, now_ns: int) -> list[Effect]:
         self._pursuit = None
+        if self._agenda is not None and self._agenda.command.id == pursuit.command.id:
+            self._agenda = None
         if pursuit.fulfilled:
             return []
         say = sentence("expired", pursuit.slots.language)
@@ -344,45 +424,3 @@ class Deliberation:
             self._reply(pursuit.command, "expired", now_ns, say=say, why=why, directive_id=pursuit.directive.id),
             self._remember(pursuit, "expired", now_ns),
         ]
-
-    def _done(self, command: Command, slots: Slots, directive_id: int, now_ns: int) -> Reply:
-        return self._reply(
-            command, "fulfilled", now_ns, directive_id=directive_id, say=sentence("done", slots.language)
-        )
-
-    @staticmethod
-    def _remember(pursuit: Pursuit, outcome: str, now_ns: int) -> Remember:
-        came = f"{outcome}, held up by {pursuit.delayed_by}" if pursuit.delayed_by else outcome
-        took_s = (now_ns - pursuit.began_ns) / NS
-        return Remember(pursuit.command.text, pursuit.scene, pursuit.slots, came, took_s, pursuit.min_ttc_s)
-
-    def _directive(self, command: Command, draft: Directive, scene: Scene, reasoning: str, now_ns: int) -> Directive:
-        self._last_id = max(self._last_id + 1, now_ns // 1000)
-        self.metrics["directives"] += 1
-        return issued(draft, scene, command.id, self._last_id, reasoning, now_ns)
-
-    def _refused(self, command: Command, why: str, key: str, now_ns: int, *, say: str = "") -> Reply:
-        """`say`, or our sentence for `key` in the language last spoken."""
-        self.metrics["refused"] += 1
-        return self._reply(command, "refused", now_ns, why=why, say=say or sentence(key, self._language))
-
-    def _reply(
-        self,
-        command: Command,
-        outcome: ReplyOutcome,
-        now_ns: int,
-        *,
-        say: str = "",
-        why: str = "",
-        directive_id: int | None = None,
-    ) -> Reply:
-        return Reply(
-            epoch=self.epoch,
-            stamp_ns=now_ns,
-            command_id=command.id,
-            outcome=outcome,
-            text=command.text[:TEXT_CHARS],
-            say=say,
-            why=why[:TEXT_CHARS],
-            directive_id=directive_id,
-        )

@@ -12,9 +12,10 @@ from schemas.runtime.bus import Bus, open_bus
 from schemas.runtime.process import Heartbeat, log
 from schemas.wire import topics
 from schemas.wire.codec import Fault, decode_command
-from schemas.wire.messages import Directive, Reply
+from schemas.wire.messages import Directive, Event, Reply
 from slow_node.config import BUDGET_S, SlowConfig
-from slow_node.deliberation import Abandon, Deliberation, Effect, Interpret, Remember
+from slow_node.deliberation import Deliberation
+from slow_node.effects import Abandon, Effect, Interpret, Remember
 from slow_node.interpreter import Interpretation, Interpreter, Style
 from slow_node.journal import Diary
 from slow_node.llm.embedding import load_embedder
@@ -132,6 +133,8 @@ class SlowNode:
                 case Reply():
                     self._bus.publish(topics.REPLY, effect)
                     log(NAME, effect.outcome, effect.why, command_id=effect.command_id, text=effect.text)
+                case Event():
+                    self._bus.publish(topics.EVENT, effect)
                 case Interpret():
                     self._abandon()
                     self._interpretation = asyncio.get_running_loop().create_task(self._interpret(effect, self._spoken))
@@ -168,7 +171,7 @@ class SlowNode:
         effects = self._deliberation.on_interpretation(effect.id, found, now_ns)
         self._carry_out(effects)
         reply = next(
-            (e for e in effects if isinstance(e, Reply) and e.outcome in ("issued", "refused", "failed")), None
+            (e for e in effects if isinstance(e, Reply) and e.outcome not in ("superseded", "cancelled")), None
         )
         if reply is not None and reply.why:
             trace.guards.append(reply.why)

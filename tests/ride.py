@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from schemas.runtime.clock import NS
 from schemas.wire.messages import Command, Directive, Event, EventKind, Lane, Observation, Reason, Reply
-from slow_node.deliberation import Deliberation, Effect, Interpret, Remember
+from schemas.wire.program import Outcome, Program, Question, Step
+from slow_node.deliberation import Deliberation
+from slow_node.effects import Effect, Interpret, Remember
 from slow_node.interpreter import Interpretation
 from slow_node.planning.scene import Scene, encode_scene
 from slow_node.understanding.slots import Slots
@@ -29,9 +31,15 @@ TWO_WAY = (lane(-1, "oncoming"), lane())
 
 
 def seen(
-    at_s: float, ego: int, *cars: Car, lanes: tuple[Lane, ...] = ONE_WAY, speed: float = 15.0, epoch: int = 1
+    at_s: float,
+    ego: int,
+    *cars: Car,
+    lanes: tuple[Lane, ...] = ONE_WAY,
+    speed: float = 15.0,
+    epoch: int = 1,
+    at_m: float = 0.0,
 ) -> Observation:
-    rows = [car(n, x, at, v) for n, (at, x, v) in enumerate(((ego, 0.0, speed), *cars))]
+    rows = [car(n, at_m + x, at, v) for n, (at, x, v) in enumerate(((ego, 0.0, speed), *cars))]
     return scenes.observation(*rows, lanes=lanes, epoch=epoch, stamp_ns=round(at_s * NS), tick=round(at_s * 15))
 
 
@@ -46,9 +54,11 @@ class Ride:
         self.deliberation, self.lanes, self.now_s, self.said = Deliberation(budget_s), lanes, START_S, 0
         self.out: list[Effect] = []
 
-    def look(self, ego: int, *cars: Car, after_s: float = 0.1, epoch: int = 1) -> list[Effect]:
+    def look(
+        self, ego: int, *cars: Car, after_s: float = 0.1, epoch: int = 1, speed: float = 15.0, at_m: float = 0.0
+    ) -> list[Effect]:
         self.now_s += after_s
-        observation = seen(self.now_s, ego, *cars, lanes=self.lanes, epoch=epoch)
+        observation = seen(self.now_s, ego, *cars, lanes=self.lanes, epoch=epoch, speed=speed, at_m=at_m)
         return self._keep(self.deliberation.on_scene(encode_scene(observation), self._now()))
 
     def hear(self, *, old_s: float = 0.0) -> list[Effect]:
@@ -56,11 +66,19 @@ class Ride:
         command = Command(epoch=1, stamp_ns=self._now() - round(old_s * NS), id=self.said, text=f"wish {self.said}")
         return self._keep(self.deliberation.on_command(command, self._now()))
 
-    def say(self, slots: Slots | None, *, thinks_s: float = 0.0, reached: bool = True) -> list[Effect]:
+    def say(
+        self, slots: Slots | None, *, thinks_s: float = 0.0, reached: bool = True, program: Program | None = None
+    ) -> list[Effect]:
         """A command that is understood so, or fails."""
         call = next(e for e in self.hear() if isinstance(e, Interpret))
         self.now_s += thinks_s
-        return self._keep(self.deliberation.on_interpretation(call.id, Interpretation(slots, "", reached), self._now()))
+        found = Interpretation(slots, "", reached, program=program)
+        return self._keep(self.deliberation.on_interpretation(call.id, found, self._now()))
+
+    def ask_for(self, *steps: Step, question: Question = "", outcome: Outcome = "directive") -> list[Effect]:
+        """A command that is read as a program."""
+        program = Program(outcome=outcome, steps=steps, question=question)
+        return self.say(Slots(outcome=outcome), program=program)
 
     def tell(self, kind: str, reason: str | None = None, *, number: int = -1) -> list[Effect]:
         """The fast node reports about the newest directive, or the one of that number."""
@@ -90,6 +108,11 @@ class Ride:
     @property
     def replies(self) -> list[Reply]:
         return [e for e in self.out if isinstance(e, Reply)]
+
+    @property
+    def events(self) -> list[tuple[str, str]]:
+        """What the slow node tells of its programs: kind and detail."""
+        return [(str(e.kind), e.detail) for e in self.out if isinstance(e, Event)]
 
     @property
     def outcomes(self) -> list[str]:

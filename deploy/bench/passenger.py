@@ -59,7 +59,7 @@ def _refused(why: str) -> Callable[[Reply, Directive | None], bool]:
 
 def _in_german(reply: Reply, directive: Directive | None) -> bool:
     drives_90 = directive is not None and directive.target_speed_mps == 25.0
-    return reply.outcome == "issued" and drives_90 and reply.say == "Ich stelle das Tempo ein."
+    return reply.outcome == "issued" and drives_90 and reply.say == "Ich stelle das Tempo auf 90 km/h ein."
 
 
 COMMANDS = (

@@ -84,6 +84,8 @@ class Picture:
     thoughts: deque[Note] = field(default_factory=lambda: deque(maxlen=THOUGHTS))
     _stamps: dict[int, int] = field(default_factory=dict)
     _plan: _Plan | None = None
+    _waits: tuple[int, str] | None = None
+    """The command whose step waits, and for what."""
     _nodes: dict[str, Status] = field(default_factory=dict)
     _lost: set[str] = field(default_factory=set)
     _number: int = 0
@@ -110,6 +112,10 @@ class Picture:
                 self._note("command", message, id=message.id, text=message.text[:TEXT_CHARS], source=message.source)
             case Reply():
                 self._ended(message.outcome, message.directive_id, message.stamp_ns)
+                if message.waits_for:
+                    self._waits = (message.command_id, message.waits_for)
+                elif self._waits is not None and message.command_id == self._waits[0]:
+                    self._waits = None
                 self._note("reply", message, **_fields(message, "epoch", "schema", "stamp_ns"))
             case Event():
                 self._happened(message)
@@ -129,7 +135,7 @@ class Picture:
         ):
             self.road_version += 1
             self._stamps.clear()
-            self._plan = None
+            self._plan = self._waits = None
         self.observation = observation
         self._stamps[observation.tick] = observation.stamp_ns
         while len(self._stamps) > 8:
@@ -226,6 +232,10 @@ class Picture:
         plan = self._shown_plan(now_ns)
         if plan is not None:
             frame["directive"] = plan
+        if self._waits is not None:
+            frame["waits_for"] = self._waits[1]
+        elif plan is not None and plan["state"] in ("active", "delayed") and plan["waits_for"]:
+            frame["waits_for"] = plan["waits_for"]
         return frame
 
     def road(self) -> dict[str, Any] | None:
@@ -294,6 +304,7 @@ class Picture:
             "waited": round((seen.tick - plan.since_tick) / seen.hz, 1) if plan.since_tick >= 0 else 0.0,
             "detail": plan.detail,
             "reasoning": plain(directive.reasoning, TEXT_CHARS),
+            "waits_for": directive.waits_for,
         }
 
     def _health(self, now_ns: int) -> list[dict[str, Any]]:

@@ -116,7 +116,9 @@ async def interpret(interpreter: Interpreter, text: str, scene: Scene, trace: Tr
     slots = found.slots or Slots(outcome="unclear")
     program = found.program or Program(outcome=slots.outcome)
     parts = stages(program)
-    first = slots_of(parts[0], scene, slots.language) if program.outcome == "directive" and parts else slots
+    first = (
+        slots_of(parts[0], scene, slots.language, program.miles) if program.outcome == "directive" and parts else slots
+    )
     planned: Directive | Refusal = directive_of(first, scene)
     latency = time.perf_counter() - began
     outcome: str = planned.outcome if isinstance(planned, Refusal) else "directive"

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from deploy.replay.check import Comparison, fields_of
 from deploy.replay.tape import Tape
 from schemas.wire.messages import Directive, Input, Reply
-from slow_node.deliberation import Deliberation, Effect
+from slow_node.deliberation import Deliberation
+from slow_node.effects import Effect
 from slow_node.journal import interpretation_of
 from slow_node.planning.scene import encode_scene
 

@@ -71,6 +71,7 @@ def say(text: str, *, port: int, wait: bool, timeout_s: float, as_json: bool) ->
                             "say": r.say,
                             "why": r.why,
                             "directive_id": r.directive_id,
+                            "waits_for": r.waits_for,
                             "after_s": round((r.stamp_ns - command.stamp_ns) / 1e9, 3),
                         }
                         for r in replies
@@ -91,7 +92,10 @@ def say(text: str, *, port: int, wait: bool, timeout_s: float, as_json: bool) ->
 
 
 def _done(replies: list[Reply], wait: bool) -> bool:
-    return any(reply.outcome in _LAST or (reply.outcome == "issued" and not wait) for reply in replies)
+    return any(
+        reply.outcome in _LAST or ((reply.outcome == "issued" or bool(reply.waits_for)) and not wait)
+        for reply in replies
+    )
 
 
 def _words(reply: Reply) -> Iterator[str]:

@@ -9,7 +9,7 @@ from schemas.wire.messages import Action, Directive, Event, EventKind, Observati
 from schemas.wire.text import plain
 
 _OVER = ("fulfilled", "expired", "superseded", "cancelled", "failed")
-_BY_REPLY = (*_OVER, "issued")
+_BY_REPLY = (*_OVER, "issued", "waiting")
 """What a reply tells already, in better words than the event that goes with it."""
 
 

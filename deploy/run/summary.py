@@ -60,7 +60,7 @@ class Summary:
         if reply.why:
             said.why = reply.why
         if reply.outcome in ("heard", "refused"):
-            said.heard_s = at
+            said.heard_s = at if said.heard_s is None else said.heard_s
         elif reply.outcome == "issued" and said.issued_s is None:  # a thought repeated by itself is not a new answer
             said.issued_s = at
         elif reply.outcome == "fulfilled":

@@ -20,7 +20,9 @@ from typing import Literal
 
 from msgspec import Struct
 
-SCHEMA_VERSION = "3.1"
+from schemas.wire.program import Program, Step
+
+SCHEMA_VERSION = "3.2"
 
 Manoeuvre = Literal["cruise", "follow", "overtake", "merge", "yield", "stop"]
 Mode = Literal["NOMINAL", "DEGRADED", "FAIL-SAFE", "STOPPED"]
@@ -205,6 +207,12 @@ class Directive(Message, frozen=True, kw_only=True, tag="directive"):
     reasoning: str = ""
     say: str = ""
     """What to tell the passenger."""
+    steps: tuple[Step, ...] = ()
+    """The whole program of its command; empty where the command has no more than this."""
+    step: int = 0
+    """The first of `steps` that this directive carries out."""
+    waits_for: str = ""
+    """What the next step waits for; "": none waits."""
 
 
 ReplyOutcome = Literal["heard", "refused", "issued", "fulfilled", "expired", "superseded", "cancelled", "failed"]
@@ -220,6 +228,8 @@ class Reply(Message, frozen=True, kw_only=True, tag="reply"):
     say: str = ""
     why: str = ""
     directive_id: int | None = None
+    waits_for: str = ""
+    """Understood, and done once this has come; "": nothing is waited for."""
 
 
 class EventKind(Open):
@@ -235,6 +245,10 @@ class EventKind(Open):
     EXPIRED = "expired"
     WORLD = "world"
     """A new world has begun; `detail` says after what."""
+    WAITING = "waiting"
+    """A step of a command waits; `detail` says for what."""
+    DUE = "due"
+    """What a step waited for has come; its directive is sent."""
     FAULT = "fault"
     """A part of the run has given up, and the run goes on without it; `detail` says which and why."""
     ACTUATOR = "actuator"
@@ -359,13 +373,15 @@ class Control(Message, frozen=True, kw_only=True, tag="control"):
     """Of a restart: which traffic; None for the same."""
 
 
-class Found(Struct, frozen=True, kw_only=True):
+class Found(Struct, frozen=True, kw_only=True, omit_defaults=True):
     """What the passenger's command was found to mean: the language model's answer, checked."""
 
     slots: str
     """As JSON; "": none."""
     why: str
     model_answered: bool
+    program: Program | None = None
+    """None: what the slots say, at once."""
 
 
 class Input(Struct, frozen=True, kw_only=True, omit_defaults=True):

@@ -22,6 +22,7 @@ from slow_node.llm.answer import json_object
 from slow_node.memory.bank import Example
 from slow_node.planning.replies import sentence
 from slow_node.planning.scene import Scene, is_slow
+from slow_node.planning.spoken import spoken, too_near
 from slow_node.understanding.slots import ANSWERED, FAR_OVER_LIMIT, Outcome, Slots
 
 SLOW_LEAD_WITHIN_M = 80.0
@@ -32,6 +33,8 @@ ASKS = ("manoeuvre", "target_lane", "target_speed_mps", "headway_s", "style")
 """Fields of a directive that decide what the car does."""
 CROSS_CHECK_COSINE = 0.97
 CLOSER_HEADWAY_S, FARTHER_HEADWAY_S, MAX_HEADWAY_S = 1.2, 3.0, 6.0
+FARTHER_BY_S = 0.5
+"""More room is this much more than now, at least."""
 MIN_HEADWAY_S = 1.0
 
 
@@ -100,6 +103,8 @@ def directive_of(slots: Slots, scene: Scene) -> Directive | Refusal:
     limit = scene.lanes[home].speed_limit_mps
     if slots.target_speed_mps is not None and slots.target_speed_mps > FAR_OVER_LIMIT * limit:
         return _refusal(f"{slots.target_speed_mps:.0f} m/s is far over the limit", slots, "unsafe")
+    if slots.gap == "closer" and _only_gap(slots) and (near := too_near(scene, CLOSER_HEADWAY_S, slots)):
+        return _refusal("as close as is safe already", slots, "", say=near)
     if slots.headway_s is not None and slots.headway_s < MIN_HEADWAY_S:
         return _refusal(f"{slots.headway_s:.1f} s is no safe distance", slots, "unsafe")
     if slots.speed == "stop":
@@ -128,7 +133,17 @@ def directive_of(slots: Slots, scene: Scene) -> Directive | Refusal:
     if lane is None and speed is None and headway is None and slots.gap != "keep" and slots.overtake is not False:
         return _refusal("the answer asks for nothing", slots, "unclear", "unclear")
     style: Style = "calm" if slots.speed == "slower" or slots.gap == "farther" else "normal"
-    return _draft(scene, manoeuvre, lane, speed, headway, style, _say(slots, _key(slots), _cap(scene, lane)))
+    over = slots.target_speed_mps is not None and slots.target_speed_mps > _cap(scene, lane) + OVER_LIMIT_MPS
+    say = (
+        slots.say
+        if slots.say and not over
+        else spoken(slots, scene, "limit" if over else _key(slots), lane, speed, headway)
+    )
+    return _draft(scene, manoeuvre, lane, speed, headway, style, say)
+
+
+def _only_gap(slots: Slots) -> bool:
+    return slots.speed == "none" and slots.lane == "none" and slots.overtake is None and slots.target_speed_mps is None
 
 
 def hurried(slots: Slots) -> bool:
@@ -240,10 +255,8 @@ def _refusal(why: str, slots: Slots, key: str, outcome: Outcome = "refused", say
     return Refusal(why, say or sentence(key, slots.language), outcome)
 
 
-def _say(slots: Slots, key: str, cap_mps: float = INF) -> str:
-    """The model's sentence or ours; where a named speed is cut to the limit always ours, which says so."""
-    if slots.target_speed_mps is not None and slots.target_speed_mps > cap_mps + OVER_LIMIT_MPS:
-        return sentence("limit", slots.language)
+def _say(slots: Slots, key: str) -> str:
+    """The model's sentence or ours."""
     return slots.say or sentence(key, slots.language)
 
 
@@ -255,7 +268,13 @@ def _overtake(slots: Slots, scene: Scene) -> Directive | Refusal:
     for lane in sides:
         if may_take(scene, lane) or (scene.exists(lane) and scene.lanes[lane].direction == -1):
             cap = _cap(scene, lane)
-            return _draft(scene, "overtake", lane, cap, style="assertive", say=_say(slots, "overtake", cap))
+            over = slots.target_speed_mps is not None and slots.target_speed_mps > cap + OVER_LIMIT_MPS
+            say = (
+                slots.say
+                if slots.say and not over
+                else spoken(slots, scene, "limit" if over else "overtake", lane, cap)
+            )
+            return _draft(scene, "overtake", lane, cap, style="assertive", say=say)
     return _refusal("there is no lane to overtake in", slots, "no_lane")
 
 
@@ -312,6 +331,8 @@ def _headway(slots: Slots, scene: Scene) -> float | None:
         if scene.lead is None or scene.speed_mps < 1.0:
             return None
         return min(max(scene.lead.gap_m / scene.speed_mps, CLOSER_HEADWAY_S), FARTHER_HEADWAY_S)
+    if slots.gap == "farther" and scene.lead is not None and scene.speed_mps >= 1.0:
+        return min(max(FARTHER_HEADWAY_S, scene.lead.gap_m / scene.speed_mps + FARTHER_BY_S), MAX_HEADWAY_S)
     return {"closer": CLOSER_HEADWAY_S, "farther": FARTHER_HEADWAY_S}.get(slots.gap)
 
 

@@ -35,12 +35,12 @@ def ends(stage: Stage) -> Trigger | None:
     return next((step.until for step in stage if step.until is not None), None)
 
 
-def slots_of(stage: Stage, scene: Scene, language: str) -> Slots:
+def slots_of(stage: Stage, scene: Scene, language: str, miles: bool = False) -> Slots:
     """What a stage asks for on this road: changes and multiples become values, lanes by number become those lanes."""
     asked: dict[str, object] = {}
     for step in stage:
         asked |= _asked(step, scene)
-    return Slots.model_validate({"outcome": "directive", "language": language, **asked})
+    return Slots.model_validate({"outcome": "directive", "language": language, "miles": miles, **asked})
 
 
 def _asked(step: Step, scene: Scene) -> dict[str, object]:

@@ -45,6 +45,8 @@ class Slots(BaseModel):
     say: Words = ""
     language: str = Field(default="en", exclude=True)
     """Of the passenger's sentence, for our reply; told by the intent parser, never by the model."""
+    miles: bool = Field(default=False, exclude=True)
+    """The passenger speaks of miles."""
     to_lane: int | None = Field(default=None, exclude=True)
     """The lane's index where it is more than one over; -1 or the number of lanes: there is no such lane."""
 

@@ -9,7 +9,7 @@ import pytest
 
 from schemas.runtime.clock import NS
 from schemas.wire.messages import Reply
-from slow_node.deliberation import Interpret
+from slow_node.effects import Interpret
 from slow_node.interpreter import Interpretation
 from slow_node.planning.replies import sentence
 from slow_node.understanding.slots import Slots

@@ -102,6 +102,8 @@ export class Panels {
     const d = frame.directive;
     text($("d-state"), d ? d.state : "none");
     mark($("d-state"), "is", d?.state ?? null);
+    $("d-next").hidden = !frame.waits_for;
+    text($("d-next"), frame.waits_for ? `The next step waits for ${frame.waits_for}.` : "");
     const box = $("directive");
     if (!d) {
       if (box.dataset.id !== "none") { box.replaceChildren(make("p", { className: "empty", textContent: "Nothing is wished. The car keeps its speed and its lane." })); box.dataset.id = "none"; }

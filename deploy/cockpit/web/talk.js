@@ -49,9 +49,9 @@ export class Talk {
   }
 
   reply(note) {
-    if (note.outcome === "heard") return;
+    if (note.outcome === "heard" && !note.waits_for) return;
     const command = this.commands.get(note.command_id);
-    const small = make("small", {}, make("span", { className: "tag", textContent: note.outcome, data: { is: BAD.includes(note.outcome) ? "failed" : note.outcome === "fulfilled" ? "fulfilled" : "policy" } }));
+    const small = make("small", {}, make("span", { className: "tag", textContent: note.waits_for ? "waiting" : note.outcome, data: { is: BAD.includes(note.outcome) ? "failed" : note.outcome === "fulfilled" ? "fulfilled" : "policy" } }));
     if (command) small.append(`${Math.max(note.t - command.t, 0).toFixed(1)} s later `);
     if (note.why) small.append(`· ${note.why} `);
     const link = make("button", { type: "button", textContent: "thought", hidden: !document.getElementById(`thought-${note.command_id}`) });

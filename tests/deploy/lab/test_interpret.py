@@ -146,7 +146,9 @@ def test_replies_are_in_the_passengers_language(parser: IntentParser) -> None:
             for n, text in enumerate(("bitte fahr langsamer", "roule moins vite s'il te plaît", "please go slower"))
         )
     )
-    assert [row["say"] for row in rows] == [sentence("slower", language) for language in ("de", "fr", "en")]
+    assert [row["say"] for row in rows] == [
+        sentence("slower", language, speed="83 km/h") for language in ("de", "fr", "en")
+    ]
 
 
 def test_training_commands_are_reproducible_and_labelled() -> None:

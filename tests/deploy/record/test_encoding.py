@@ -25,9 +25,9 @@ def values(kind: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
     """Anything that a field of this type can hold."""
     match kind:
         case msgspec.inspect.IntType():
-            return st.integers(-(2**62), 2**62)
+            return st.integers(-(2**62) if kind.ge is None else kind.ge, 2**62 if kind.le is None else kind.le)
         case msgspec.inspect.FloatType():
-            return st.floats()
+            return st.floats(kind.ge, kind.le)
         case msgspec.inspect.StrType():
             return st.text(max_size=30)
         case msgspec.inspect.BoolType():

@@ -34,14 +34,18 @@ def test_the_road_and_the_schema_are_gates() -> None:
 def test_a_wish_to_overtake_says_so_where_nobody_slow_is_ahead() -> None:
     far = directive_of(Slots(outcome="directive", overtake=True), two_way(lead_m=160.0))
     near = directive_of(Slots(outcome="directive", overtake=True), two_way(lead_m=25.0))
-    assert (far.say, near.say) == (sentence("nobody_ahead", "en"), sentence("overtake", "en"))
+    assert (far.say, near.say) == (
+        sentence("nobody_ahead", "en", speed="29 km/h"),
+        sentence("overtake", "en", lead="13 km/h"),
+    )
 
 
 def test_a_car_to_overtake_may_be_as_far_ahead_as_one_can_see() -> None:
     far = two_way(lead_m=120.0)
     asked = directive_of(Slots(outcome="directive", overtake=True), far)
     assert isinstance(asked, Directive)
-    assert (asked.manoeuvre, asked.target_speed_mps, asked.say) == ("overtake", 8.0, sentence("overtake", "en"))
+    assert (asked.manoeuvre, asked.target_speed_mps) == ("overtake", 8.0)
+    assert asked.say == sentence("overtake", "en", lead="13 km/h")
     hurry = directive_of(Slots(outcome="directive", speed="faster"), far)
     assert isinstance(hurry, Directive)
     assert hurry.manoeuvre == "cruise"
@@ -130,4 +134,4 @@ def test_from_a_ramp_the_ego_is_sent_to_the_lane_beside_it_and_never_kept_on_it(
 @pytest.mark.parametrize(("speed", "key"), [(25.0, "limit"), (20.0, None)])
 def test_a_speed_cut_to_the_limit_is_said_to_be_whatever_the_model_says(speed: float, key: str | None) -> None:
     slots = Slots(outcome="directive", target_speed_mps=speed, say="Gerne!", language="de")
-    assert directive_of(slots, scene(1)).say == (sentence(key, "de") if key else "Gerne!")
+    assert directive_of(slots, scene(1)).say == (sentence(key, "de", speed="72 km/h") if key else "Gerne!")

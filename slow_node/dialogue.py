@@ -1,0 +1,114 @@
+"""What goes by the wish before it: "a bit more", "that's too much", "again", "the other way", "as before". Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from msgspec.structs import replace
+
+from schemas.wire.program import Act, Side, Step
+from slow_node.planning.scene import Scene
+from slow_node.planning.steps import headway_now_s
+
+FOLLOW_UPS = ("more", "less", "again", "opposite", "back")
+A_BIT_MPS, A_BIT_M = 10 / 3.6, 10.0
+"""What a bit more is where no number was said: 10 km/h, 10 m."""
+_OPPOSITE: dict[Act, Act] = {"faster": "slower", "slower": "faster", "closer": "farther", "farther": "closer"}
+_OTHER_SIDE: dict[Side, Side] = {"left": "right", "right": "left", "leftmost": "rightmost", "rightmost": "leftmost"}
+
+
+@dataclass(frozen=True)
+class Said:
+    """A wish that was acted on, and the road on which it was said."""
+
+    steps: tuple[Step, ...]
+    scene: Scene
+
+
+def follows(steps: tuple[Step, ...]) -> bool:
+    """Whether steps go by a wish before them."""
+    return len(steps) == 1 and steps[0].act in FOLLOW_UPS
+
+
+def resolved(act: Act, last: Said) -> tuple[Step, ...]:
+    """The steps that are meant; empty where the wish before cannot be had more of, or turned round."""
+    if act == "again":
+        return last.steps
+    if act == "back":
+        return _as_before(last)
+    changed: list[Step] = []
+    for step in last.steps:
+        plain = replace(step, when=None, until=None)
+        one = {"more": _more, "less": _less, "opposite": _opposite}[act](_as_change(plain, last.scene))
+        if one is not None:
+            changed.append(one)
+    return tuple(changed)
+
+
+def _as_change(step: Step, scene: Scene) -> Step:
+    """A value that was named as the change that it was then."""
+    if (
+        step.act in ("drive", "faster", "slower")
+        and step.value is not None
+        and step.mode in ("to", "at_least", "at_most")
+    ):
+        return replace(
+            step, act="faster" if step.value > scene.speed_mps else "slower", value=None, unit=None, mode=None
+        )
+    if step.act == "gap" and step.value is not None:
+        before = headway_now_s(scene) * (max(scene.speed_mps, 1.0) if step.unit == "m" else 1.0)
+        return replace(step, act="farther" if step.value > before else "closer", value=None, unit=None, mode=None)
+    if step.act in ("yield", "smoother"):
+        return Step(act="farther" if step.act == "yield" else "slower")
+    if step.act == "lane" and step.side is None and step.count is not None:
+        return step
+    return step
+
+
+def _sized(step: Step, share: float) -> Step:
+    """The change by so much of what it was; by a bit where no number was said."""
+    if step.act in ("faster", "slower"):
+        value = step.value if step.mode == "by" and step.value is not None else A_BIT_MPS
+        return replace(step, value=round(share * value, 3), unit="mps", mode="by", object="", side=None)
+    if step.mode == "by" and step.value is not None:
+        return replace(step, value=round(share * step.value, 3))
+    return replace(step, value=share * A_BIT_M, unit="m", mode="by")
+
+
+def _more(step: Step) -> Step | None:
+    if step.act in _OPPOSITE:
+        return _sized(step, 1.0)
+    return step if step.act == "lane" and step.side in ("left", "right") else None
+
+
+def _less(step: Step) -> Step | None:
+    if step.act in _OPPOSITE:
+        return replace(_sized(step, 0.5), act=_OPPOSITE[step.act])
+    return _opposite(step)
+
+
+def _opposite(step: Step) -> Step | None:
+    if step.act in _OPPOSITE:
+        return replace(_sized(step, 1.0), act=_OPPOSITE[step.act])
+    if step.act == "lane" and step.side in _OTHER_SIDE:
+        return replace(step, side=_OTHER_SIDE[step.side])
+    if step.act == "overtake":
+        return replace(step, polarity="not" if step.polarity == "do" else "do")
+    return None
+
+
+def _as_before(last: Said) -> tuple[Step, ...]:
+    """Speed, gap and lane as they were when the wish before was said, of what it has changed."""
+    acts, scene = {step.act for step in last.steps}, last.scene
+    if acts & {"overtake", "cancel"}:
+        return (Step(act="cancel"),)
+    steps: list[Step] = []
+    if acts & {"drive", "faster", "slower", "stop", "smoother"}:
+        steps.append(Step(act="drive", value=round(scene.speed_mps, 3), unit="mps", mode="to"))
+    if acts & {"gap", "closer", "farther", "yield"}:
+        steps.append(Step(act="gap", value=round(max(headway_now_s(scene), 1.0), 3), unit="s", mode="to"))
+    if "lane" in acts:
+        own = [lane for lane, at in enumerate(scene.lanes) if at.direction == 1 and scene.exists(lane)]
+        if scene.ego_lane in own:
+            steps.append(Step(act="lane", count=min(own.index(scene.ego_lane) + 1, 8)))
+    return tuple(steps)

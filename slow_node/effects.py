@@ -1,0 +1,45 @@
+"""What the slow system's state machine asks its shell to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from schemas.wire.messages import Directive, Event, Reply
+from slow_node.planning.scene import Scene
+from slow_node.understanding.slots import Slots
+
+
+@dataclass(frozen=True)
+class Interpret:
+    """Effect: find out what a command means. At most one is in flight; a newer one replaces it."""
+
+    id: int
+    command: str
+    scene: Scene
+    delayed: str = ""
+    """The manoeuvre before it that the fast node is delaying; "" where there is none."""
+    delayed_by: str = ""
+    """The rule by which it does."""
+
+
+@dataclass(frozen=True)
+class Abandon:
+    """Effect: the interpretation in flight is of no use any more."""
+
+
+@dataclass(frozen=True)
+class Remember:
+    """Effect: keep a decision and what came of it in the memory bank."""
+
+    command: str
+    scene: Scene
+    slots: Slots
+    outcome: str
+    """"fulfilled", "expired", "superseded" or "cancelled"; with the reason that held it up, where one did."""
+    took_s: float
+    """From the directive to its end."""
+    min_ttc_s: float
+    """Smallest time to collision meanwhile (`Scene.ttc_s`); inf: the ego never closed in on anybody."""
+
+
+Effect = Interpret | Abandon | Remember | Directive | Reply | Event
