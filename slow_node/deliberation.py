@@ -27,10 +27,10 @@ from schemas.wire import topics
 from schemas.wire.messages import Command, Directive, Event, EventKind, Reply, ReplyOutcome
 from schemas.wire.program import Program, Trigger
 from slow_node.agenda import WAIT_MAX_S, Agenda, told, watch
+from slow_node.answers import Answers, waits_sentence
 from slow_node.dialogue import Said, follows, resolved
 from slow_node.effects import Abandon, Effect, Interpret
 from slow_node.interpreter import Interpretation
-from slow_node.planning.answers import Answers, waits_sentence
 from slow_node.planning.directive import Refusal, asks_the_same, directive_of, return_directive
 from slow_node.planning.replies import sentence
 from slow_node.planning.scene import Scene
