@@ -157,12 +157,19 @@ def say(
     raise typer.Exit(talk.say(text, port=port, wait=wait, timeout_s=timeout_s, as_json=as_json))
 
 
-@commands.command(epilog="Examples:\n\n  fastslow status\n\n  fastslow status --json\n\n" + EXITS)
-def status(port: Port = DEFAULT_PORT, as_json: Json = False) -> None:
+@commands.command(
+    epilog="Examples:\n\n  fastslow status\n\n  fastslow status --watch\n\n"
+    "  fastslow status --watch --json    (a line each second)\n\n" + EXITS
+)
+def status(
+    port: Port = DEFAULT_PORT,
+    as_json: Json = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Again each second, until Ctrl-C.")] = False,
+) -> None:
     """Show the nodes of the running system and their metrics."""
     from deploy.run import passenger as talk
 
-    raise typer.Exit(talk.status(port=port, as_json=as_json))
+    raise typer.Exit(talk.status(port=port, as_json=as_json, watch=watch))
 
 
 @commands.command(

@@ -91,6 +91,11 @@ class Picture:
     _number: int = 0
     _began_ns: int = 0
 
+    @property
+    def heartbeats(self) -> list[Status]:
+        """The newest of every node, by name."""
+        return [self._nodes[name] for name in sorted(self._nodes)]
+
     def take(self, message: Message) -> None:
         """One message of any topic."""
         match message:
@@ -318,7 +323,7 @@ class Picture:
                 "detail": plain(status.detail, TEXT_CHARS),
                 **({"mode": status.mode, "mode_why": plain(status.mode_why, TEXT_CHARS)} if status.mode else {}),
             }
-            for status in (self._nodes[name] for name in sorted(self._nodes))
+            for status in self.heartbeats
         ]
 
 

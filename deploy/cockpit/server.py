@@ -1,4 +1,5 @@
-"""The web server: the page's files, and one websocket per page. Everything that comes in is bounded and suspected."""
+"""The web server: the page's files, one websocket per page, health and metrics. Everything that comes in is bounded
+and suspected."""
 
 from __future__ import annotations
 
@@ -10,14 +11,16 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import msgspec
+from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.responses import FileResponse, PlainTextResponse
+from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from deploy.cockpit.health import ailments, exposition
 from deploy.cockpit.hub import Hub, Page
 from deploy.cockpit.sources import Refused
 from schemas.wire.topics import MAX_COMMAND_CHARS
@@ -193,13 +196,19 @@ def application(hub: Hub, *, writable: bool) -> ASGIApp:
     async def index(_: Any) -> FileResponse:
         return FileResponse(WEB / "index.html")
 
-    async def health(_: Any) -> PlainTextResponse:
-        return PlainTextResponse("ok")
+    async def healthz(_: Any) -> PlainTextResponse:
+        wrong = ailments(hub.picture.heartbeats, hub.source.now_ns())
+        return PlainTextResponse("\n".join(wrong) or "ok", 503 if wrong else 200)
+
+    async def metrics(_: Any) -> Response:
+        body = exposition(hub.picture.heartbeats, hub.source.now_ns())
+        return Response(body, media_type=CONTENT_TYPE_PLAIN_0_0_4)
 
     site = Starlette(
         routes=[
             Route("/", index),
-            Route("/health", health),
+            Route("/healthz", healthz),
+            Route("/metrics", metrics),
             WebSocketRoute("/live", Pages(hub, writable).serve),
             Mount("/", StaticFiles(directory=WEB)),
         ]

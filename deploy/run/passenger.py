@@ -13,6 +13,7 @@ import msgspec
 from deploy.run.processes import TCP_HOST
 from deploy.run.status import mode_of
 from schemas.runtime.bus import BusConfig, BusError, open_bus
+from schemas.runtime.clock import NS
 from schemas.runtime.process import FAILED, OK, UNAVAILABLE, USAGE
 from schemas.wire import topics
 from schemas.wire.codec import Fault
@@ -24,6 +25,10 @@ _BAD = ("refused", "failed", "expired", "superseded", "cancelled")
 _LAST = (*_BAD, "fulfilled")
 _STATUS_WAIT_S = 1.0
 """Five heartbeats of every node."""
+_SILENT_S = 2.0
+"""A node that has not been heard of for longer is told to be silent."""
+CLEAR = "\x1b[H\x1b[2J"
+"""Of a terminal: the next text takes the place of the last."""
 
 
 def _nobody(port: int) -> int:
@@ -110,31 +115,42 @@ def _short(value: float) -> str:
     return f"{value:.0f}" if value.is_integer() else f"{value:.3g}"
 
 
-def status(*, port: int, as_json: bool) -> int:
-    """Print the newest heartbeat of every node."""
+def status(*, port: int, as_json: bool, watch: bool = False) -> int:
+    """Print the newest heartbeat of every node; with `watch` again each second, until Ctrl-C or until all are gone."""
     nodes: dict[str, Status] = {}
+    clear = watch and not as_json and sys.stdout.isatty()
     try:
         with open_bus(_client(port)) as bus:
             heartbeats = bus.subscribe(topics.STATUS)
-            deadline = time.monotonic() + _STATUS_WAIT_S
-            while time.monotonic() < deadline:
-                nodes.update((heartbeat.node, heartbeat) for heartbeat in heartbeats.take())
-                time.sleep(_POLL_S)
+            while True:
+                deadline, heard = time.monotonic() + _STATUS_WAIT_S, 0
+                while time.monotonic() < deadline:
+                    for heartbeat in heartbeats.take():
+                        nodes[heartbeat.node], heard = heartbeat, heard + 1
+                    time.sleep(_POLL_S)
+                if not heard:
+                    print(f"fastslow: no node is alive behind {TCP_HOST}:{port}", file=sys.stderr)
+                    return UNAVAILABLE
+                newest = [nodes[name] for name in sorted(nodes)]
+                said = _as_json(newest) if as_json else "\n".join(map(_line, newest))
+                print(f"{CLEAR if clear else ''}{said}", flush=True)
+                if not watch:
+                    return OK
     except BusError:
         return _nobody(port)
-    if not nodes:
-        print(f"fastslow: no node is alive behind {TCP_HOST}:{port}", file=sys.stderr)
-        return UNAVAILABLE
-    newest = [nodes[name] for name in sorted(nodes)]
-    if as_json:
-        fields = ("node", "pid", "state", "epoch", "metrics", "detail", "mode", "mode_why", "mode_since_ns")
-        rows = [{name: getattr(heartbeat, name) for name in fields} for heartbeat in newest]
-        print(msgspec.json.encode({"schema": "fastslow.status/1", "nodes": rows}).decode())
-        return OK
-    for heartbeat in newest:
-        metrics = " ".join(f"{name} {_short(value)}" for name, value in heartbeat.metrics.items())
-        detail = f"  {plain(heartbeat.detail)}" if heartbeat.detail else ""
-        if heartbeat.mode:
-            detail = f"  {mode_of(heartbeat, time.monotonic_ns())}{detail}"
-        print(f"{plain(heartbeat.node):<6} {heartbeat.state:<9} pid {heartbeat.pid:<8}{plain(metrics)}{detail}")
-    return OK
+
+
+def _as_json(newest: list[Status]) -> str:
+    fields = ("node", "pid", "state", "epoch", "metrics", "detail", "mode", "mode_why", "mode_since_ns")
+    rows = [{name: getattr(heartbeat, name) for name in fields} for heartbeat in newest]
+    return msgspec.json.encode({"schema": "fastslow.status/1", "nodes": rows}).decode()
+
+
+def _line(heartbeat: Status) -> str:
+    now_ns = time.monotonic_ns()
+    silent_s = (now_ns - heartbeat.stamp_ns) / NS
+    gone = f"  silent for {silent_s:.0f} s" if silent_s > _SILENT_S else ""
+    mode = f"  {mode_of(heartbeat, now_ns)}" if heartbeat.mode else ""
+    detail = f"  {plain(heartbeat.detail)}" if heartbeat.detail else ""
+    metrics = " ".join(f"{name} {_short(value)}" for name, value in heartbeat.metrics.items())
+    return f"{plain(heartbeat.node):<6} {heartbeat.state:<9} pid {heartbeat.pid:<8}{plain(metrics)}{gone}{mode}{detail}"
