@@ -1,13 +1,13 @@
 """The simulator: roads, the ego's executor, and the process that ticks them at 15 Hz.
 
-Importing the package registers the gymnasium environments (`sim_node:FastSlow-highway-v0`, one per scenario);
-highway-env is loaded when one is made.
+Importing the package registers the gymnasium environments (`sim_node:FastSlow-highway-v0`, one per scenario).
 """
 
 from __future__ import annotations
 
 import gymnasium
 
+import sim_node.without_tables  # noqa: F401 - before the scenarios, which import highway-env
 from sim_node.scenarios import SCENARIOS
 
 for _name in SCENARIOS:
