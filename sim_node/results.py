@@ -107,8 +107,7 @@ def summarise(episodes: Sequence[EpisodeResult]) -> dict[str, float]:
     accel_var = max(sum(e.accel_square_sum for e in episodes) / total - a_mean**2, 0.0)
     ttc = np.array([e.min_ttc_s for e in episodes])
     under_cap = ttc[ttc < TTC_CAP_S]
-    ride = np.array([e.ride_score for e in episodes])
-    half = 1.96 * float(ride.std(ddof=1)) / math.sqrt(n) if n > 1 else nan
+    ride, ride_low, ride_high = ride_interval([e.ride_score for e in episodes])
     minutes = sum(e.seconds for e in episodes) / 60.0
     wished = sum(e.asked_ticks > 0 for e in episodes)
     decisions = count("decisions")
@@ -117,9 +116,9 @@ def summarise(episodes: Sequence[EpisodeResult]) -> dict[str, float]:
         **_share("success", count("success"), n),
         "ego_fault_collisions": sum(e.collided and not e.struck for e in episodes),
         "struck_collisions": count("struck"),
-        "ride_score": float(ride.mean()),
-        "ride_score_low": max(float(ride.mean()) - half, 0.0) if n > 1 else nan,
-        "ride_score_high": min(float(ride.mean()) + half, 100.0) if n > 1 else nan,
+        "ride_score": ride,
+        "ride_score_low": nan if ride_low is None else ride_low,
+        "ride_score_high": nan if ride_high is None else ride_high,
         "avg_speed": weighted("avg_speed", ticks),
         "max_speed": mean("max_speed"),
         "min_speed": mean("min_speed"),
@@ -161,6 +160,15 @@ def summarise(episodes: Sequence[EpisodeResult]) -> dict[str, float]:
         **_share("decisions_closed_by_mask_share", count("decisions_closed_by_mask"), decisions),
         **_share("decisions_closed_by_wish_share", count("decisions_closed_by_wish"), decisions),
     }
+
+
+def ride_interval(scores: Sequence[float]) -> tuple[float, float | None, float | None]:
+    """Mean of ride scores and its 95 % interval by the normal distribution; a single score has none."""
+    mean, n = float(np.mean(scores)), len(scores)
+    if n < 2:
+        return mean, None, None
+    half = 1.96 * float(np.std(scores, ddof=1)) / math.sqrt(n)
+    return mean, max(mean - half, 0.0), min(mean + half, 100.0)
 
 
 def _share(name: str, part: int, whole: int) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""`fastslow video`: a drive as a film."""
+"""`fastslow video` and `report`: a drive as a film, and the figures of a paper."""
 
 from __future__ import annotations
 
@@ -109,3 +109,38 @@ def _recorded(path: Path, from_s: float, to_s: float) -> tuple[Iterator[Any], fl
     if not recording.finished:
         typer.echo(f"fastslow: {path} was cut off, or is still written: filming as far as it goes", err=True)
     return pictures(recording, from_s, to_s), end_s - from_s
+
+
+@commands.command(
+    epilog="Examples:\n\n  fastslow report runs/20261127T120000Z-42 -o report\n\n"
+    "  fastslow evaluate --agent ours --agent rule --json > e.json && fastslow report e.json -o report\n\n"
+    "  fastslow report x.mcap e.json runs/study/study.json --at 2 --at 5.5 -o report\n\n" + EXITS
+)
+def report(
+    run: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RUN...",
+            help="Recordings, what `evaluate` has written with --json or --rows, study.json, latency.json of `bench "
+            "latency`; or folders that hold them.",
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", file_okay=False, help="A folder.")],
+    at: Annotated[
+        list[float] | None,
+        typer.Option(
+            min=0.0,
+            metavar="S",
+            help="Moments of a recording to show; may be repeated.",
+            show_default="those of the paper's case study: 1, 3, 20, 23",
+        ),
+    ] = None,
+) -> None:
+    """Draw a paper's figures (success, reward, filmstrip, latency, attention): PNG, SVG, and a page with them all."""
+    with readable_ends():
+        from deploy.report.build import CASE_STUDY_S, PAGE, build
+
+        made = build(run, output, sorted(set(at or CASE_STUDY_S)), lambda text: typer.echo(text, err=True))
+        typer.echo(f"{output / PAGE}: {', '.join(figure.name for figure in made.figures)}")
+        for what, why in made.left_out:
+            typer.echo(f"left out: {what}: {why}")

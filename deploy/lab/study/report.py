@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from deploy.lab.picture import picture
+from deploy.lab.picture import COLOURS, picture
 from deploy.lab.statistics import t_interval, wilson95
 from deploy.lab.study.cells import ALGORITHMS, FIGURES
 
@@ -166,14 +166,11 @@ def search_table(rows: Sequence[dict[str, Any]], chosen: dict[str, str]) -> str:
     return "\n".join(lines)
 
 
-COLOURS = {"ours": "tab:red", "ppo": "tab:blue", "dqn": "tab:green", "a2c": "tab:orange"}
-
-
 def plot(results: Sequence[dict[str, Any]], path: Path) -> None:
     """Learning curves per road: means over seeds with 95 % bands; solid: ours, and baselines as published; dashed:
     baselines behind the mask."""
     roads = list(dict.fromkeys(r["scenario"] for r in results))
-    with picture(path, 1, len(roads), figsize=(5 * len(roads), 4)) as (_, axes):
+    with picture(path, 1, len(roads), figsize=(3.6 * len(roads) + 0.4, 3.0)) as (_, axes):
         for axis, road in zip(axes[0], roads, strict=True):
             for algorithm, variant in dict.fromkeys((r["algorithm"], r["variant"]) for r in results):
                 curves = [

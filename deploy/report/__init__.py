@@ -1,0 +1,1 @@
+"""The figures of a paper from recordings and results, and a page that holds them."""
