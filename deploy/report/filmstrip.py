@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 from deploy.film.story import worded
@@ -21,6 +22,9 @@ WIDTH_IN = 7.6
 TITLE_IN, SPEED_IN = 0.28, 1.7
 AFTER_S = 4.0
 """So much is shown of the speed after the last moment."""
+MARK_ROWS, TEXT_CHARS = 6, 60
+CHAR_SHARE = 0.0085
+"""Of the figure's width: a letter of the marks."""
 ACTIONS = {
     MetaAction.SLOW_DOWN: "slower",
     MetaAction.CRUISE: "hold",
@@ -148,18 +152,24 @@ def _speed(axis: Any, moments: Sequence[Moment], chosen: Sequence[Moment]) -> No
 
 
 def _marks(axis: Any, shown: Sequence[Moment]) -> None:
-    """What was said and what became of it, under the curve, each a line below the last."""
-    row = 0
+    """What was said and what became of it, under the curve, each in the lowest row that has room for it."""
+    last_s = shown[-1].at_s
+    taken: list[list[tuple[float, float]]] = [[] for _ in range(MARK_ROWS)]
     for moment in shown:
         for message in moment.heard:
             if isinstance(message, Command):
-                colour, text = "black", f"\u201c{message.text}\u201d"
+                colour, text = "black", "\u201c" + shorten(message.text, TEXT_CHARS, placeholder=" ...") + "\u201d"
             elif isinstance(message, Event) and message.kind in MARKED:
                 colour, text = MARKED[message.kind], worded(message)  # type: ignore[assignment]
             else:
                 continue
-            at = 0.06 + 0.13 * (row % 4)
-            late = moment.at_s > 0.6 * shown[-1].at_s
+            late = moment.at_s > 0.6 * last_s
+            width_s = (len(text) + 2) * CHAR_SHARE * last_s
+            span = (moment.at_s - width_s, moment.at_s) if late else (moment.at_s, moment.at_s + width_s)
+            free = [row for row in taken if all(span[1] < left or right < span[0] for left, right in row)]
+            row = free[0] if free else min(taken, key=len)
+            row.append(span)
+            at = 0.06 + 0.11 * taken.index(row)
             axis.plot([moment.at_s], [at], "o", color=colour, markersize=3, transform=axis.get_xaxis_transform())
             axis.annotate(
                 text,
@@ -171,4 +181,3 @@ def _marks(axis: Any, shown: Sequence[Moment]) -> None:
                 va="center",
                 fontsize=7,
             )
-            row += 1
