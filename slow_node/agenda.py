@@ -134,6 +134,11 @@ class Agenda:
         """The index in the program of the stage's first step."""
         return sum(len(part) for part in self.parts[: self.at])
 
+    @property
+    def has_named_lane(self) -> bool:
+        """A step before this stage has asked for a lane."""
+        return any(step.act == "lane" for step in self.program.steps[: self.first_step])
+
     def waiting(self) -> Trigger | None:
         """What is waited for now: by this stage, or by the next one."""
         return self.waits.trigger if self.waits is not None else self.next_trigger

@@ -224,6 +224,8 @@ class Deliberation(Voice):
         if isinstance(draft, Refusal):
             self._agenda = None
             return [self._reply(agenda.command, "failed", now_ns, why=draft.why, say=draft.say)]
+        if agenda.has_named_lane and draft.target_lane is None and draft.manoeuvre in ("cruise", "follow"):
+            draft = structs.replace(draft, target_lane=scene.kept_lane)  # what a step reached, the next one keeps
         self._agenda = agenda.under_way(scene, now_ns)
         return self._begin(agenda.command, slots, "", scene, draft, now_ns)
 

@@ -139,6 +139,14 @@ def test_a_condition_on_a_lane_that_is_not_there_is_refused_at_once() -> None:
 FIRST_LEFT_THEN_SLOWER = (LEFT, Step(act="slower", when=Trigger(kind="done")))
 
 
+def test_the_lane_that_a_step_has_reached_is_kept_by_the_next_which_names_none() -> None:
+    ride = riding()
+    ride.ask_for(*FIRST_LEFT_THEN_SLOWER)
+    ride.look(0)
+    ride.tell("fulfilled")
+    assert (ride.directives[-1].target_lane, ride.directives[-1].target_speed_mps) == (0, pytest.approx(13.0))
+
+
 def test_the_second_step_is_sent_when_the_first_is_fulfilled_and_the_passenger_hears_of_the_end_once() -> None:
     ride = riding()
     ride.ask_for(*FIRST_LEFT_THEN_SLOWER)
