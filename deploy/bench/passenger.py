@@ -86,8 +86,8 @@ COMMANDS = (
     Spoken("fahr bitte mit neunzig", "issued: 25 m/s, answered in German", _in_german),
     Spoken(
         "keep more distance to the car in front",
-        "issued: follow, 3 s behind",
-        _issued(lambda d: d.manoeuvre == "follow" and d.headway_s == 3.0),
+        "issued: follow, 3 s behind or more",
+        _issued(lambda d: d.manoeuvre == "follow" and d.headway_s is not None and d.headway_s >= 3.0),
     ),
     Spoken("the thing, you know, sort of", "refused: unclear, asked back", _refused("unclear command")),
     Spoken(
