@@ -9,7 +9,7 @@ from typing import Literal
 
 from deploy.lab.episodes import DIRECTIVES, Directive, Watch, Words, always, by_the_tick, reckless, record, task_of
 from fast_node.mask import PRESETS
-from fast_node.policies.attention import read_sidecar
+from fast_node.policies.checkpoint import read_sidecar
 from fast_node.policies.load import OURS, load_policy
 from fast_node.policies.mlp import BASELINES
 from fast_node.training.rollout import Driver, Fleet

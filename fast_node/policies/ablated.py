@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fast_node.policies.attention import SHIPPED, AttentionPolicy, load_attention, read_sidecar, read_weights
+from fast_node.policies.attention import SHIPPED, AttentionPolicy, load_attention
+from fast_node.policies.checkpoint import read_checkpoint
 from fast_node.policies.mlp import WISH
 from schemas.driving.features import Array
 from schemas.runtime.process import ConfigError
@@ -43,10 +44,11 @@ def untrained_of(seed: str) -> AttentionPolicy:
         raise ConfigError(f"untrained:{seed}: give a whole number from 0 as the seed, as in untrained:0")
     rng = np.random.default_rng(int(seed or 0))
     drawn = {}
-    for name, array in sorted(read_weights(SHIPPED).items()):
+    sidecar, learnt = read_checkpoint(SHIPPED)
+    for name, array in sorted(learnt.items()):
         if "norm" in name:
             drawn[name] = np.ones_like(array) if name.endswith("weight") else np.zeros_like(array)
         else:
             bound = 1.0 / np.sqrt(array.shape[-1])
             drawn[name] = rng.uniform(-bound, bound, array.shape).astype(np.float32)
-    return AttentionPolicy(drawn, read_sidecar(SHIPPED))
+    return AttentionPolicy(drawn, sidecar)

@@ -5,18 +5,16 @@ Axes: ... any batch axes, N vehicle rows, F features, D model width, H heads.
 
 from __future__ import annotations
 
-import json
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.numpy import load_file
 
 from fast_node.mask import PRESETS
 from fast_node.mask import VERSION as MASK_VERSION
+from fast_node.policies.checkpoint import read_checkpoint
 from schemas.driving.features import FEATURES, LAYOUT_HASH
 from schemas.runtime.process import ConfigError
 
@@ -142,9 +140,9 @@ def _floats(*arrays: Wide) -> list[Array]:
 
 def load_attention(path: Path = SHIPPED) -> AttentionPolicy:
     """The policy in `path` with its `.json` sidecar. Raises `ConfigError` if missing, corrupt or made for others."""
-    sidecar, weights = read_sidecar(path), read_weights(path)
+    sidecar, weights = read_checkpoint(path)
     if (algorithm := sidecar.get("algorithm", "ours")) != "ours":
-        raise ConfigError(f"{path.name} holds a baseline, {algorithm}: give the policy of `fastslow train`")
+        raise ConfigError(f"{path.name} holds a baseline, {algorithm!r}: give the policy of `fastslow train`")
     for name, want in (("layout_hash", LAYOUT_HASH), ("mask", MASK_VERSION)):
         if sidecar.get(name) != want:
             raise ConfigError(f"{path.name} has {name} {sidecar.get(name)!r}, this code {want!r}: train anew")
@@ -157,27 +155,3 @@ def load_attention(path: Path = SHIPPED) -> AttentionPolicy:
         return AttentionPolicy(weights, sidecar)
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise ConfigError(f"{path.name} does not fit its sidecar ({error!r}): train anew") from None
-
-
-def read_sidecar(path: Path) -> dict[str, Any]:
-    """The `.json` sidecar of a policy, ours or a baseline. Raises `ConfigError` if missing or corrupt."""
-    try:
-        sidecar = json.loads(path.with_suffix(".json").read_text())
-    except FileNotFoundError as error:
-        raise ConfigError(f"no policy at {error.filename}: train one with `fastslow train`") from None
-    except (ValueError, OSError) as error:
-        raise ConfigError(f"the policy {path.name} is corrupt ({error}): restore it or train one anew") from None
-    if not isinstance(sidecar, dict):
-        raise ConfigError(f"the policy {path.name} is corrupt (no sidecar): restore it or train one anew")
-    return sidecar
-
-
-def read_weights(path: Path) -> dict[str, Array]:
-    """Every array of a policy by its name. Raises `ConfigError` if missing or corrupt."""
-    try:
-        weights: dict[str, Array] = load_file(path)
-    except FileNotFoundError:
-        raise ConfigError(f"no policy at {path}: train one with `fastslow train`") from None
-    except (SafetensorError, OSError) as error:
-        raise ConfigError(f"the policy {path.name} is corrupt ({error}): restore it or train one anew") from None
-    return weights

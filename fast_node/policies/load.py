@@ -9,7 +9,8 @@ from pathlib import Path
 
 from fast_node.mask import PRESETS
 from fast_node.policies.ablated import BlindPolicy, DeafPolicy, untrained_of
-from fast_node.policies.attention import SHIPPED, load_attention, read_sidecar
+from fast_node.policies.attention import SHIPPED, load_attention
+from fast_node.policies.checkpoint import read_sidecar
 from fast_node.policies.fixed import constant_of, random_of
 from fast_node.policies.mlp import BASELINES, VARIANTS, load_mlp, shipped
 from fast_node.policies.outsider import load_outsider, prove

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fast_node.mask import VERSION as MASK_VERSION
-from fast_node.policies.attention import read_sidecar, read_weights
+from fast_node.policies.checkpoint import read_checkpoint
 from schemas.driving.features import FEATURES, LAYOUT_HASH, N_ROWS
 from schemas.runtime.process import ConfigError
 
@@ -67,7 +67,7 @@ def shipped(algorithm: str, variant: str) -> Path:
 
 def load_mlp(path: Path) -> MlpPolicy:
     """The policy in `path` with its `.json` sidecar. Raises `ConfigError` if missing, corrupt or made for others."""
-    sidecar, weights = read_sidecar(path), read_weights(path)
+    sidecar, weights = read_checkpoint(path)
     if sidecar.get("algorithm") not in BASELINES:
         raise ConfigError(f"{path.name} holds no baseline: train one with `fastslow train --algorithm`")
     mask = MASK_VERSION if masked(str(sidecar.get("variant"))) else None

@@ -11,7 +11,6 @@ step per four transitions. The variants differ in their scenes and here:
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,12 +19,12 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
-from safetensors.numpy import save_file
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from fast_node.mask import VERSION as MASK_VERSION
+from fast_node.policies.checkpoint import write_checkpoint
 from fast_node.policies.mlp import WISH, MlpPolicy, load_mlp, masked, told
 from fast_node.training.rollout import Mixed
 from fast_node.training.train import DECISION_S, Logits, conditions, random_inputs
@@ -236,10 +235,8 @@ def weights_of(model: Any) -> dict[str, Array]:
 def export(model: Any, out: Path, sidecar: dict[str, object], observations: int = 1000) -> None:
     """Write weights and sidecar, and check the NumPy policy against torch; raises `ValueError` beyond 1e-5
     of the largest value."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    save_file(weights_of(model), out)
-    out.with_suffix(".json").write_text(
-        json.dumps({"layout_hash": LAYOUT_HASH, "features": FEATURES, "width": WIDTH, **sidecar}, indent=1) + "\n"
+    write_checkpoint(
+        out, weights_of(model), {"layout_hash": LAYOUT_HASH, "features": FEATURES, "width": WIDTH, **sidecar}
     )
     x = random_inputs(observations)
     seen = x.copy()

@@ -29,8 +29,8 @@ from __future__ import annotations
 import contextlib
 import csv
 import importlib.util
-import json
 import os
+import pickle
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -39,10 +39,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors.torch import save_file
 
 from fast_node.mask import VERSION as MASK_VERSION
 from fast_node.policies.attention import load_attention
+from fast_node.policies.checkpoint import write_checkpoint
 from fast_node.training.learner import (
     LearnerConfig,
     advantages,
@@ -57,6 +57,7 @@ from schemas.driving import reward as rewards
 from schemas.driving.features import FEATURES, LAYOUT_HASH, N_ROWS, Array
 from schemas.driving.road import DECISION_TICKS, HZ
 from schemas.runtime.process import ConfigError, revision
+from schemas.wire.text import plain
 
 WIDTH, HEADS, LAYERS = 128, 2, 1
 ROLLOUT = 16
@@ -255,22 +256,18 @@ def sidecar_of(preset: str) -> dict[str, Any]:
 def export(net: ActorCritic, out: Path, sidecar: dict[str, object], observations: int = 1000) -> None:
     """Write weights and sidecar, and check the NumPy policy against torch; raises `ValueError` beyond 1e-5
     of the largest logit."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    save_file({k: v.contiguous() for k, v in net.state_dict().items() if not k.startswith("value")}, out)
-    out.with_suffix(".json").write_text(
-        json.dumps(
-            {
-                "layout_hash": LAYOUT_HASH,
-                "features": FEATURES,
-                "mask": MASK_VERSION,
-                "layers": len(net.layers),
-                "heads": net.heads,
-                "width": net.embed.out_features,
-                **sidecar,
-            },
-            indent=1,
-        )
-        + "\n"
+    write_checkpoint(
+        out,
+        {k: v.numpy() for k, v in net.state_dict().items() if not k.startswith("value")},
+        {
+            "layout_hash": LAYOUT_HASH,
+            "features": FEATURES,
+            "mask": MASK_VERSION,
+            "layers": len(net.layers),
+            "heads": net.heads,
+            "width": net.embed.out_features,
+            **sidecar,
+        },
     )
     policy = load_attention(out)
     x = random_inputs(observations)
@@ -295,7 +292,12 @@ def saved_state(out: Path) -> dict[str, Any]:
     path = out.with_suffix(".train.pt")
     if not path.exists():
         raise ConfigError(f"there is no {path.name} beside {out.name} to go on from: train without --resume or --start")
-    state: dict[str, Any] = torch.load(path, weights_only=True)
+    try:
+        state: dict[str, Any] = torch.load(path, weights_only=True)
+        _ = state["run"]["seed"], state["steps"], state["net"], state["optimizer"], state["rng"], state["generator"]
+    except (OSError, EOFError, RuntimeError, ValueError, KeyError, TypeError, pickle.UnpicklingError) as error:
+        why = plain(str(error), 100)
+        raise ConfigError(f"{path.name} is corrupt ({why}): restore it, or train without --resume or --start") from None
     return state
 
 

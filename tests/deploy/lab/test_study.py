@@ -223,6 +223,7 @@ def test_a_sidecar_tells_all_that_its_training_depended_on(tmp_path: Path) -> No
         "scenarios",
         "scenes",
         "seed",
+        "sha256",
         "steps",
         "width",
     }

@@ -243,12 +243,12 @@ def test_a_policy_for_other_features_is_refused_with_the_fix(tmp_path):
         load_attention(path)
 
 
-def test_a_missing_or_corrupt_policy_is_refused_in_one_line(tmp_path):
+def test_a_missing_or_unsigned_policy_is_refused_in_one_line(tmp_path):
     with pytest.raises(ConfigError, match="fastslow train"):
         load_attention(tmp_path / "none.safetensors")
     (tmp_path / "bad.json").write_text("{}")
     (tmp_path / "bad.safetensors").write_bytes(b"not weights")
-    with pytest.raises(ConfigError, match="corrupt"):
+    with pytest.raises(ConfigError, match="no digest"):
         load_attention(tmp_path / "bad.safetensors")
 
 
@@ -272,3 +272,10 @@ def test_without_a_wished_lane_the_lateral_wish_is_zero_and_says_so():
     rows = np.zeros((1, 9), np.float32)
     x = features(rows.tolist(), np.nan, 8.0, 1.5, 6.0, False, 150.0)
     assert [x[0, FEATURES.index(name)] for name in ("y_des", "y_wished")] == [0.0, 0.0]
+
+
+def test_a_damaged_state_to_resume_from_is_refused_in_one_line(tmp_path):
+    for damaged in (b"", b"not a state", b"PK\x03\x04"):
+        (tmp_path / "p.train.pt").write_bytes(damaged)
+        with pytest.raises(ConfigError, match="corrupt"):
+            training.saved_state(tmp_path / "p.safetensors")
