@@ -8,11 +8,13 @@ import signal
 import time
 from collections.abc import Callable
 
+import msgspec
+
 from schemas.runtime.bus import Bus, open_bus
-from schemas.runtime.process import Heartbeat, log
+from schemas.runtime.process import ConfigError, Heartbeat, log
 from schemas.wire import topics
 from schemas.wire.codec import Fault, decode_command
-from schemas.wire.messages import Directive, Event, Reply
+from schemas.wire.messages import Directive, Event, EventKind, Reply
 from slow_node.config import BUDGET_S, SlowConfig
 from slow_node.deliberation import Deliberation
 from slow_node.effects import Abandon, Effect, Interpret, Remember
@@ -206,8 +208,17 @@ class SlowNode:
 
 
 def build(bus: Bus, config: SlowConfig) -> tuple[SlowNode, Memory]:
-    """The node with its parts; the caller closes the memory."""
-    interpreter, memory, model = build_interpreter(config)
+    """The node with its parts; the caller closes the memory. Where the bank cannot be used, one that ends with us."""
+    try:
+        interpreter, memory, model = build_interpreter(config)
+    except ConfigError as error:
+        interpreter, memory, model = build_interpreter(msgspec.structs.replace(config, memory_path=""))
+        said = f"going on without what was remembered: {error}"
+        log(NAME, "memory", said)
+        now_ns = time.monotonic_ns()
+        bus.publish(
+            topics.EVENT, Event(epoch=0, stamp_ns=now_ns, kind=EventKind.FAULT, node=NAME, tick=-1, detail=said)
+        )
     return SlowNode(bus, memory, model, interpreter, config.budget_s, config.thoughts_path), memory
 
 

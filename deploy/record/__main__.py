@@ -51,14 +51,14 @@ def main() -> None:
     max_bytes = round(config.max_mb * 1e6)
     try:
         file = McapFile(Path(config.path))
-    except (OSError, NotARecordingError) as error:
+        recorder = Recorder(file, describe(config.about, config.policy), max_bytes)
+    except (OSError, NotARecordingError, FullError) as error:
         raise ConfigError(f"cannot record to {config.path}: {error}") from None
     with open_bus(config.bus) as bus:
         arrivals = bus.subscribe_all(PENDING)
         scheduling = yield_to_others(NICE)
         for topic in (EVENT, STATUS):
             bus.announce(topic)
-        recorder = Recorder(file, describe(config.about, config.policy), max_bytes)
         with Heartbeat(bus, NAME, lambda: dict(recorder.metrics), stuck_s=60.0) as heart:
             log(NAME, "ready", path=config.path, scheduling=scheduling)
             try:

@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from http.client import HTTPException
 from pathlib import Path
-from typing import Protocol
+from typing import IO, Protocol
 
 from schemas.runtime.bus import ONE_POOL
 
@@ -127,9 +127,9 @@ def launch(
 
     log: where it writes to, anew unless `append`; stdout: as well as stderr. env: `environment()` by default.
     nice: its niceness, if it is granted. own_session: Linux shares the processor out among sessions first.
-    Raises OSError if the log or the program cannot be opened.
+    A log that cannot be opened is not kept. Raises OSError if the program cannot be started.
     """
-    with log.open("ab" if append else "wb") as file:
+    with _opened(log, append) as file:
         popen = subprocess.Popen(
             argv,
             stdin=subprocess.DEVNULL,
@@ -145,6 +145,13 @@ def launch(
         except OSError:  # it has ended already; whoever watches over it sees that
             pass
     return Launched(name, popen, log)
+
+
+def _opened(log: Path, append: bool) -> IO[bytes]:
+    try:
+        return log.open("ab" if append else "wb")
+    except OSError:  # the disk is full or read-only
+        return open(os.devnull, "ab")
 
 
 class Start(Protocol):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import secrets
@@ -9,6 +10,7 @@ import shutil
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -53,15 +55,16 @@ def run_system(
     sockets = Path(tempfile.mkdtemp(prefix="fastslow-"))  # short: a Unix socket's path has less than 108 characters
     port = options.port or free_port()
     try:
-        data_folder().mkdir(parents=True, exist_ok=True)
+        with contextlib.suppress(OSError):  # without it nothing is remembered, as the slow node says
+            data_folder().mkdir(parents=True, exist_ok=True)
         model = choose_model(options.model)
         road_of(options.scenario)  # a missing file is told before there is a run
         if options.record:
             _try_to_write(options.record)
         with open_bus(BusConfig(mode="router", listen=router_endpoints(sockets, port))) as bus:
-            folder = new_run_folder()
-            rows = process_table(options, model, sockets, folder) if table is None else table
-            return _Run(options, port, bus, rows, policy, folder, model.where).to_its_end()
+            folder, kept = _folder_of(sockets)
+            rows = process_table(options, model, sockets, folder if kept else None) if table is None else table
+            return _Run(options, port, bus, rows, policy, folder, model.where, kept).to_its_end()
     except BusError as error:
         if "in use" not in str(error):
             print(f"fastslow: cannot listen on {TCP_HOST}:{port}: {error}", file=sys.stderr)
@@ -101,6 +104,22 @@ def new_run_folder() -> Path:
     return folder
 
 
+def _folder_of(temporary: Path) -> tuple[Path, bool]:
+    """The run's folder, and whether it is kept: where none can be made, one that goes with the run."""
+    try:
+        folder = new_run_folder()
+        _try_to_write(folder / "supervisor.jsonl")
+        return folder, True
+    except (FileExistsError, NotADirectoryError):  # no trouble of the disk, but something in the way
+        raise
+    except OSError as error:
+        why = f"cannot write {error.filename or 'runs'}: {error.strerror}"
+        print(f"fastslow: {why}; the run goes on without logs and recording", file=sys.stderr)
+    folder = temporary / "run"
+    folder.mkdir()
+    return folder, False
+
+
 class _Run:
     def __init__(
         self,
@@ -111,11 +130,13 @@ class _Run:
         policy: RestartPolicy | None,
         folder: Path,
         asked: str,
+        kept: bool,
     ) -> None:
-        """asked: which language model, and whether words leave the machine for it."""
+        """asked: which language model, and whether words leave the machine for it. kept: whether the folder is."""
         self._options, self._port, self._bus = options, port, bus
         self._folder = folder
-        self._log = open(self._folder / "supervisor.jsonl", "a", encoding="utf-8")  # noqa: SIM115 - as long as the run
+        self._log = open(self._folder / "supervisor.jsonl", "ab", buffering=0)  # noqa: SIM115 - as long as the run
+        self._unkept = not kept
         self._out = sys.stderr if options.as_json else sys.stdout
         self._asked = asked
         self._supervisor = Supervisor(table, self._folder, self._notice, policy)
@@ -139,7 +160,7 @@ class _Run:
         supervisor = self._supervisor
         self._print(
             f"fastslow: {self._options.scenario}, scheduling {trial(self._options.realtime)}, "
-            f'logs in {self._folder}/; speak to it with: fastslow say "..."'
+            f'{"no logs" if self._unkept else f"logs in {self._folder}/"}; speak to it with: fastslow say "..."'
             f"{'' if self._port == 7447 else f' --port {self._port}'}"
         )
         if "slow" in supervisor.states:
@@ -165,7 +186,10 @@ class _Run:
                 supervisor.stop(self._read_bus)
             time.sleep(STEP_S)  # the last words may still be on their way
             self._read_bus()
-            self._finish(ended_ns)
+            summary = self._finish(ended_ns)
+            if code == OK and not signals.first and (why := self._stood(summary)):
+                print(f"fastslow: {why}", file=sys.stderr)
+                code = FAILED
             self._log.close()
             if signals.first:
                 return 128 + signals.first
@@ -174,14 +198,22 @@ class _Run:
     def _print(self, line: str) -> None:
         try:
             print(printable(line), file=self._out, flush=True)
-        except BrokenPipeError:  # nobody reads any more; the car drives on, and the run folder has it all
+        except OSError:  # nobody reads any more, or a full disk; the car drives on, and the run folder has it all
             self._out = open(os.devnull, "w")  # noqa: SIM115 - as long as the process
 
     def _notice(self, line: str) -> None:
-        json.dump({"t_ns": time.monotonic_ns(), "node": "supervisor", "event": "notice", "detail": line}, self._log)
-        self._log.write("\n")
-        self._log.flush()
+        said = {"t_ns": time.monotonic_ns(), "node": "supervisor", "event": "notice", "detail": line}
+        self._keep("supervisor.jsonl", lambda: self._log.write(json.dumps(said).encode() + b"\n"))
         self._print(f"  {line}")
+
+    def _keep(self, name: str, write: Callable[[], object]) -> None:
+        """Write into the run folder, or say once that it cannot be written: the run goes on without."""
+        try:
+            write()
+        except OSError as error:
+            if not self._unkept:
+                self._unkept = True
+                self._print(f"  cannot write {self._folder / name}: {error.strerror}; the run goes on without logs")
 
     def _unready(self) -> str:
         return ", ".join(name for name, state in self._supervisor.states.items() if state in ("waiting", "starting"))
@@ -267,13 +299,25 @@ class _Run:
         allowed_s = self._options.duration_s + (OVERTIME_S if "sim" in self._supervisor.states else 0.0)
         return time.monotonic_ns() - self._began_ns > allowed_s * NS
 
-    def _finish(self, ended_ns: int) -> None:
+    def _stood(self, summary: dict[str, object]) -> str:
+        """Why a run that ended in time was no drive; "" where the car drove, or somebody else's simulator had it."""
+        if "sim" not in self._supervisor.states:
+            return ""
+        if not summary["ticks"]:
+            return f"the car drove no tick: the simulator was not ready; see {self._folder}/sim.jsonl"
+        if "fast" in self._supervisor.states and not summary["answered"]:
+            return f"the car was not driven: no tick was answered in time; see {self._folder}/fast.jsonl"
+        return ""
+
+    def _finish(self, ended_ns: int) -> dict[str, object]:
+        """Write and tell the summary."""
         summary = self._summary.result(self._supervisor.restarts, ended_ns)
         summary["refused_payloads"] = dict(self._bus.faults)
-        (self._folder / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+        text = json.dumps(summary, indent=2) + "\n"
+        self._keep("summary.json", lambda: (self._folder / "summary.json").write_text(text, encoding="utf-8"))
         if self._options.as_json:
             print(json.dumps(summary), flush=True)
-            return
+            return summary
         age, directives, delayed_by = summary["applied_age_us"], summary["directives"], summary["delayed_by"]
         assert isinstance(age, dict)
         assert isinstance(directives, dict)
@@ -284,5 +328,6 @@ class _Run:
             f"{summary['missed']} missed, {summary['collisions']} collisions, "
             f"directives: {happened(directives, delayed_by)}; "
             f"{summary['restarts']} restarts, age of the applied action p50/p99 {p50}/{p99} ms; "
-            f"{self._folder / 'summary.json'}"
+            f"{'no log was kept' if self._unkept else self._folder / 'summary.json'}"
         )
+        return summary

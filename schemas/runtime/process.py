@@ -11,7 +11,7 @@ import threading
 import time
 from array import array
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -90,10 +90,11 @@ def run_node(name: str, main: Callable[[], None]) -> int:
 
 
 def log(node: str, event: str, detail: str = "", **fields: object) -> None:
-    """One JSON line on stderr, which the supervisor keeps in the run folder."""
+    """One JSON line on stderr, which the supervisor keeps in the run folder; lost where that cannot be written."""
     said = {"detail": detail} if detail else {}
     line = {"t_ns": time.monotonic_ns(), "node": node, "event": event, **said, **fields}
-    print(json.dumps(line), file=sys.stderr, flush=True)
+    with suppress(OSError):  # a full disk, or nobody who reads: no reason to end
+        print(json.dumps(line), file=sys.stderr, flush=True)
 
 
 QUIET_WAIT_S = 0.1

@@ -260,7 +260,7 @@ def test_nobody_there_is_69(verb: tuple[str, ...]) -> None:
     assert "fastslow run" in result.stderr
 
 
-def test_a_folder_that_cannot_be_written_is_78(tmp_path: Path) -> None:
+def test_a_file_in_the_place_of_the_runs_folder_is_78(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("a file where the folder should be")
     result = fastslow("run", "--port", "0", folder=tmp_path)
     assert result.returncode == 78
