@@ -15,7 +15,7 @@ import psutil
 from platformdirs import user_data_path
 
 from deploy.run.launch import python_module
-from schemas.runtime.process import ConfigError
+from schemas.runtime.files import read_text_bounded
 from schemas.runtime.realtime import Mode
 from slow_node.config import BUDGET_S, THOUGHTS
 from slow_node.llm.endpoint import where
@@ -148,12 +148,7 @@ def road_of(spec: str) -> dict[str, Any]:
     path = Path(spec)
     if path.suffix != ".toml":
         return {"scenario": spec}
-    try:
-        return {"scenario": path.name, "scenario_toml": path.read_text(encoding="utf-8")}
-    except OSError as error:
-        raise ConfigError(f"scenario file {spec}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ConfigError(f"scenario file {spec}: it is no text") from None
+    return {"scenario": path.name, "scenario_toml": read_text_bounded(path)}
 
 
 def data_folder() -> Path:

@@ -40,7 +40,7 @@ class DeafPolicy:
 def untrained_of(seed: str) -> AttentionPolicy:
     """The shipped network before it has learnt anything: weights drawn as torch draws them, of the seed "0" or "7"; ""
     is 0. Raises `ConfigError` for what is not a whole number from 0."""
-    if seed and not (seed.isascii() and seed.isdecimal()):
+    if seed and not (seed.isascii() and seed.isdecimal() and len(seed) < 20):
         raise ConfigError(f"untrained:{seed}: give a whole number from 0 as the seed, as in untrained:0")
     rng = np.random.default_rng(int(seed or 0))
     drawn = {}

@@ -54,6 +54,6 @@ def constant_of(words: str) -> ConstantPolicy:
 
 def random_of(seed: str) -> RandomPolicy:
     """The policy of the seed "0" or "7"; "" is 0. Raises `ConfigError` for what is not a whole number from 0."""
-    if seed and not (seed.isascii() and seed.isdecimal()):
+    if seed and not (seed.isascii() and seed.isdecimal() and len(seed) < 20):
         raise ConfigError(f"random:{seed}: give a whole number from 0 as the seed, as in random:0")
     return RandomPolicy(int(seed or 0))

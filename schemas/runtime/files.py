@@ -5,8 +5,11 @@ from __future__ import annotations
 import stat
 from pathlib import Path
 
-from schemas.runtime.process import ConfigError
+from schemas.runtime.errors import ConfigError
 from schemas.wire.text import plain
+
+SETTING_BYTES = 50_000
+"""Of a scenario file at most: its text travels in a node's one argument."""
 
 
 def read_bounded(path: Path, most_bytes: int) -> bytes:
@@ -29,7 +32,7 @@ def read_bounded(path: Path, most_bytes: int) -> bytes:
     return data
 
 
-def read_text_bounded(path: Path, most_bytes: int) -> str:
+def read_text_bounded(path: Path, most_bytes: int = SETTING_BYTES) -> str:
     """The same as text. Raises `ConfigError` for what is not UTF-8, too."""
     try:
         return read_bounded(path, most_bytes).decode()

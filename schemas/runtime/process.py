@@ -18,6 +18,7 @@ from typing import TypeVar
 import msgspec
 
 from schemas.runtime.bus import Bus, BusConfig
+from schemas.runtime.errors import ConfigError as ConfigError
 from schemas.runtime.realtime import Mode
 from schemas.wire import topics
 from schemas.wire.messages import Mode as DrivingMode
@@ -36,10 +37,6 @@ class Stopped(BaseException):
     def __init__(self, code: int) -> None:
         super().__init__(code)
         self.code = code
-
-
-class ConfigError(Exception):
-    """A configuration or a file that cannot be used; `str()` names the fix. Exit code 78."""
 
 
 def load_config(kind: type[C], argv: list[str]) -> C:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sim_node.scenario_file import find_scenario
+from sim_node.scenario_file import find_scenario, scenario_of
 from sim_node.scenarios import SCENARIOS
 
 
@@ -47,5 +47,40 @@ def test_a_file_that_is_no_scenario_is_refused_with_the_reason(text: str, why: s
 def test_what_is_neither_a_name_nor_a_file_is_refused_with_the_choice(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="highway"):
         find_scenario("moon")
-    with pytest.raises(ValueError, match="No such file"):
+    with pytest.raises(ValueError, match="there is no file"):
         find_scenario(str(tmp_path / "none.toml"))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "base = ['x']",
+        "base = 5",
+        "ego = " + "[" * 50_000,
+        "duration_s = -1",
+        "duration_s = inf",
+        "duration_s = nan",
+        "duration_s = 1e300",
+        "duration_s = " + "9" * 5000,
+        "name = ''",
+        "name = '" + "x" * 2000 + "'",
+        "sight_m = 0",
+        "ego = 5",
+        "[ego]\nspeed_mps = [30.0, 20.0]",
+        "[ego]\nspeed_mps = [-5.0, 20.0]",
+        "[ego]\nspeed_mps = []",
+        "[ego]\nspeed_ceiling_mps = 1e5",
+        "lanes = [" + "1," * 5000 + "]",
+    ],
+    ids=lambda text: text[:24],
+)
+def test_a_value_that_no_road_has_is_refused_in_one_line(text: str) -> None:
+    with pytest.raises(ValueError, match=r"^scenario file x.toml: ") as told:
+        scenario_of("x.toml", text if text.startswith("base") else f'base = "highway"\n{text}')
+    assert str(told.value).isprintable()
+    assert len(str(told.value)) < 400
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_road_of_ours_is_within_the_bounds_of_a_file(name: str) -> None:
+    assert scenario_of("x.toml", f'base = "{name}"').lanes == SCENARIOS[name].lanes
