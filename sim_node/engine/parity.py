@@ -137,7 +137,14 @@ def _compare_stock(case: str, seed: int, seconds: float) -> list[Figures]:
 def _compare_ours(case: str, seed: int, seconds: float) -> list[Figures]:
     scenario = OURS[case]
     plain = type("Plain", (ScenarioEnv,), {"_simulate": AbstractEnv._simulate})
-    slow, fast = (kind(scenario, decision_hz=DECISION_HZ, duration_s=None) for kind in (plain, accelerate(ScenarioEnv)))
+    goals: list[float] = []
+
+    def note_goal(env: ScenarioEnv, meta: int) -> int:
+        goals.append(env.intent.speed_mps)
+        return meta
+
+    slow = plain(scenario, decision_hz=DECISION_HZ, duration_s=None, guard=note_goal)
+    fast = accelerate(ScenarioEnv)(scenario, decision_hz=DECISION_HZ, duration_s=None)
     worst_observation = _gap(slow.reset(seed=seed)[0], fast.reset(seed=seed)[0])
     many = Batched(scenario, 1, 0)
     many.load(0, scenario.spawn(streams(seed)[0]))
@@ -148,13 +155,11 @@ def _compare_ours(case: str, seed: int, seconds: float) -> list[Figures]:
     for _ in range(round(seconds * DECISION_HZ)):
         # Mostly holding: random actions alone would never finish a lane change.
         action = int(rng.integers(len(MetaAction))) if rng.random() < 0.3 else int(MetaAction.CRUISE)
-        goal = float(rng.uniform(0.0, scenario.ego.speed_ceiling_mps)) if rng.random() < 0.5 else np.nan
-        slow.ego.speed_goal = fast.ego.speed_goal = goal
-        before = slow.steps
+        goals.clear()
         theirs, ours = slow.step(action), fast.step(action)
-        for k in range(slow.steps - before):
+        for k, goal in enumerate(goals):
             many.tick(np.array([action if k == 0 else held(action)]), np.array([goal]))
-        ticks += slow.steps - before
+        ticks += len(goals)
         reference = _state(slow.road)
         state = _worst(state, _differ(reference, _state(fast.road)))
         state = _worst(state, _gap(_set_points(slow.ego), _set_points(fast.ego)))
