@@ -21,7 +21,7 @@ TTL_MAX_S = 60.0
 """No directive is pending for longer, whatever it says."""
 AHEAD_NS = 1_000_000_000
 """A stamp may be so much later than the reader's clock: two clocks of one host agree, but reading them takes time."""
-_WIDTH, _LANE = len(ROW_COLUMNS), ROW_COLUMNS.index("lane")
+_WIDTH, _ID, _LANE = len(ROW_COLUMNS), ROW_COLUMNS.index("id"), ROW_COLUMNS.index("lane")
 
 
 class OutOfBoundsError(ValueError):
@@ -92,6 +92,8 @@ def _check_observation(seen: Observation) -> None:
         raise OutOfBoundsError("a non-finite number in rows")
     if max(numbers) > FAR_M or min(numbers) < -FAR_M:
         raise OutOfBoundsError(f"a number in rows is beyond {FAR_M:g}")
+    if numbers[_ID] < 0.0:
+        raise OutOfBoundsError(f"the first row is the ego's, and its id {numbers[_ID]:g} is nobody's")
     lanes = numbers[_LANE::_WIDTH]
     if not (min(lanes) >= 0.0 and max(lanes) < count):
         raise OutOfBoundsError(f"a vehicle is in lane {max(lanes, key=abs):g} of {count}")

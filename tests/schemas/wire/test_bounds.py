@@ -146,6 +146,11 @@ def test_a_vehicle_is_where_one_can_reckon_with_it(column: int, value: float, sa
     assert refusal(scene(rows=rows)) == said
 
 
+@pytest.mark.parametrize(("number", "said"), [(0, ""), (-1, "the first row is the ego's, and its id -1 is nobody's")])
+def test_the_first_row_is_somebody(number: int, said: str) -> None:
+    assert refusal(observation(car(number, 500.0, 1, 8.0))) == said
+
+
 def test_no_number_of_any_message_is_not_finite_however_deep_it_lies() -> None:
     header: dict[str, Any] = {"epoch": 1, "stamp_ns": 1}
     status: dict[str, Any] = {**header, "node": "sim", "pid": 1, "seq": 1, "state": "ready"}
