@@ -119,22 +119,31 @@ class DeadlinePolicy:
                 answer.set_exception(error if isinstance(error, Exception) else RuntimeError(repr(error)))
 
 
+TRUSTED_AGAIN = 75
+"""Answers: 5 s at 15 Hz. The scheduler's odd pause is no fault of the policy, and a hand-over would cost every tick."""
+
+
 class WatchedPolicy:
-    """Asks a policy directly, which is quickest, until an answer takes longer than `limit_s`: from then on under that
-    deadline, so that a tick is answered in time whatever has become of the policy."""
+    """Asks a policy directly, which is quickest, until an answer takes longer than `limit_s`: then under that deadline,
+    so that a tick is answered in time whatever has become of the policy, until `TRUSTED_AGAIN` answers on end were."""
 
     def __init__(self, policy: Policy, limit_s: float) -> None:
         self._policy, self._limit_s = policy, limit_s
-        self._deadline: DeadlinePolicy | None = None
+        self._deadline = DeadlinePolicy(policy, limit_s)
+        self._on_trial = 0
+        """So many answers in time are wanted before it is asked directly."""
 
     def logits(self, x: Array) -> Array:
         """See `Policy.logits`. Raises TimeoutError where no answer comes in time."""
-        if self._deadline is not None:
-            return self._deadline.logits(x)
+        if self._on_trial:
+            watched, self._on_trial = self._on_trial, TRUSTED_AGAIN
+            answer = self._deadline.logits(x)
+            self._on_trial = watched - 1
+            return answer
         start_s = time.monotonic()
         answer = self._policy.logits(x)
         if time.monotonic() - start_s > self._limit_s:
-            self._deadline = DeadlinePolicy(self._policy, self._limit_s)
+            self._on_trial = TRUSTED_AGAIN
         return answer
 
 

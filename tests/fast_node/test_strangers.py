@@ -3,6 +3,7 @@ claims to be of the future shuts out those to come."""
 
 from __future__ import annotations
 
+import threading
 import time
 from typing import Any
 
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 from fast_node.config import FastConfig
 from fast_node.mask import PRESETS
 from fast_node.node import FastNode
-from fast_node.policies.outsider import WatchedPolicy
+from fast_node.policies.outsider import TRUSTED_AGAIN, WatchedPolicy
 from fast_node.policies.rule import RulePolicy
 from schemas.driving.features import Array
 from schemas.runtime.clock import NS
@@ -86,6 +87,23 @@ def test_no_directive_is_pending_for_more_than_a_minute() -> None:
     for_ever = directive(1, NOW_NS, ttl_s=1e300)
     assert not node.step(seen, for_ever, NOW_NS + 59 * NS)[1]
     assert [e.kind for e in node.step(seen, for_ever, NOW_NS + 61 * NS)[1]] == ["expired"]
+
+
+def test_a_policy_that_was_slow_once_is_asked_directly_again_after_five_seconds_in_time() -> None:
+    threads: list[str] = []
+
+    class Hiccup:
+        def logits(self, x: Array) -> Array:
+            threads.append(threading.current_thread().name)
+            if len(threads) == 1:
+                time.sleep(0.4)
+            return np.zeros(5, np.float32)
+
+    policy, x = WatchedPolicy(Hiccup(), 0.3), np.zeros((15, 19), np.float32)
+    for _ in range(TRUSTED_AGAIN + 2):
+        policy.logits(x)
+    assert threads[1:-1] == ["policy"] * TRUSTED_AGAIN
+    assert threads[-1] == threads[0] != "policy"
 
 
 def test_a_policy_that_turns_slow_costs_one_tick_and_then_the_rule_answers_in_time() -> None:
