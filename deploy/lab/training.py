@@ -159,7 +159,7 @@ def train_policy(
 
     config = LearnerConfig() if lr is None else LearnerConfig(lr=lr)
     begin = None if start is None else saved_state(start)
-    after = saved_state(out)["steps"] if resume else 0
+    after = saved_state(out, resumable=True)["steps"] if resume else 0
     scenes = mixed_scenes(scenarios, seed, after=after, preset=preset)
     with _progress_bar() as bar:
         task = bar.add_task("learning", total=steps, completed=after)

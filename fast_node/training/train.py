@@ -116,7 +116,7 @@ def train(
         net.load_state_dict(start["net"])
         run["start"] = {"steps": start["steps"], **start["run"]}
     if resume:
-        saved = saved_state(out)
+        saved = saved_state(out, resumable=True)
         run |= {k: v for k, v in saved["run"].items() if k == "start"}
         done, resumed_at = saved["steps"], [*saved["resumed_at"], saved["steps"]]
         if (was := saved["run"]) != run:
@@ -287,17 +287,24 @@ def random_inputs(observations: int) -> Array:
     return x
 
 
-def saved_state(out: Path) -> dict[str, Any]:
-    """What `train` left beside `out` to go on from; "steps": how far it got. Raises `ConfigError` without it."""
+RESUMED = ("optimizer", "rng", "generator", "resumed_at")
+"""What a state has beyond the network, to go on as if nothing had happened. A taught policy's has not."""
+
+
+def saved_state(out: Path, *, resumable: bool = False) -> dict[str, Any]:
+    """What `train` left beside `out` to go on from; "steps": how far it got. Raises `ConfigError` without it, and
+    where it is to be resumable and has no more than a network to start with."""
     path = out.with_suffix(".train.pt")
     if not path.exists():
         raise ConfigError(f"there is no {path.name} beside {out.name} to go on from: train without --resume or --start")
     try:
         state: dict[str, Any] = torch.load(path, weights_only=True)
-        _ = state["run"]["seed"], state["steps"], state["net"], state["optimizer"], state["rng"], state["generator"]
+        _ = state["run"]["seed"], state["steps"], state["net"]
     except (OSError, EOFError, RuntimeError, ValueError, KeyError, TypeError, pickle.UnpicklingError) as error:
         why = plain(str(error), 100)
         raise ConfigError(f"{path.name} is corrupt ({why}): restore it, or train without --resume or --start") from None
+    if resumable and not set(RESUMED) <= set(state):
+        raise ConfigError(f"{path.name} has a network and no run to resume: begin with it by --start {out}")
     return state
 
 

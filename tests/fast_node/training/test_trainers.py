@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.lab.training import mixed_scenes
+from deploy.lab import teaching
+from deploy.lab.training import mixed_scenes, train_policy
 from fast_node.policies.attention import load_attention
 from fast_node.policies.mlp import load_mlp
+from fast_node.training import foresight
 from fast_node.training.train import random_inputs, train
 from schemas.driving.features import Array
+from schemas.runtime.process import ConfigError
 
 TRAINERS = ("ours", "ppo", "dqn", "a2c")
 DECISIONS = 256
@@ -56,3 +59,17 @@ def test_the_same_seed_gives_the_same_weights_to_the_bit_and_another_seed_others
     for out, seed in ((one, 0), (same, 0), (other, 1)):
         trained(algorithm, out, seed)
     assert one.read_bytes() == same.read_bytes() != other.read_bytes()
+
+
+def test_a_moment_of_teaching_gives_a_policy_that_drives_and_that_learning_starts_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module, name, value in ((teaching, "SCENES", 4), (teaching, "ROUNDS", 1), (foresight, "AHEAD", 2)):
+        monkeypatch.setattr(module, name, value)
+    taught, further = tmp_path / "taught.safetensors", tmp_path / "further.safetensors"
+    teaching.teach_policy(taught, ["two-way"], steps=8, seed=0, jobs=1)
+    assert np.isfinite(load_attention(taught).logits(SEEN)).all()
+    with pytest.raises(ConfigError, match=r"no run to resume.*--start"):
+        train_policy(taught, ["two-way"], DECISIONS, 0, resume=True)
+    train_policy(further, ["two-way"], DECISIONS, 0, start=taught)
+    assert further.read_bytes() != taught.read_bytes()
