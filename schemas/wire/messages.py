@@ -256,7 +256,7 @@ class EventKind(Open):
 
 
 class Event(Message, frozen=True, kw_only=True, tag="event"):
-    """Something that happened to a directive or to the world, with the reason for it it and for how long.
+    """Something that happened to a directive or to the world, with the reason for it and for how long.
 
     About a directive, `reason` is the mask's; of one that has ended the last that held it up, None if none did.
     """
