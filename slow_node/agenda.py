@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from schemas.driving.measures import INF
-from schemas.driving.road import LANE, LENGTH, VX, X, has_passed, is_oncoming
+from schemas.driving.road import ID, LANE, LENGTH, VX, X, has_passed, is_oncoming
 from schemas.runtime.clock import NS
 from schemas.wire.messages import Command
 from schemas.wire.program import Program, Trigger
@@ -93,7 +93,7 @@ def _meant(trigger: Trigger, scene: Scene) -> tuple[int | None, bool]:
             continue
         distance = abs(row[X] - ego[X])
         if distance < near[0]:
-            near = (distance, int(row[0]), ahead)
+            near = (distance, int(row[ID]), ahead)
     return near[1], near[2]
 
 
