@@ -162,12 +162,14 @@ def messages_of(part: Part, file: BinaryIO) -> Iterator[tuple[int, int, int, byt
     Raises `NotARecordingError` for a chunk that is not as it was written.
     """
     index = part.index
+    if not 0 <= index.compressed_size <= index.chunk_length:
+        raise _damaged(file, index.chunk_start_offset)
     file.seek(index.chunk_start_offset + index.chunk_length - index.compressed_size)
     data = file.read(index.compressed_size)
     try:
         if index.compression == COMPRESSION:
             data = zstandard.decompress(data, index.uncompressed_size)
-    except zstandard.ZstdError:
+    except (zstandard.ZstdError, MemoryError, OverflowError):
         raise _damaged(file, index.chunk_start_offset) from None
     if part.crc and zlib.crc32(data) != part.crc:
         raise _damaged(file, index.chunk_start_offset)

@@ -65,7 +65,7 @@ def test_over_ticks_that_are_missing_the_picture_before_them_stays(tmp_path):
     assert (film[20] != film[9]).any()
 
 
-def test_an_interrupted_recording_films_as_far_as_it_goes(recording, tmp_path):
+def test_an_interrupted_recording_films_as_far_as_it_goes(tmp_path):
     whole = write(tmp_path / "whole.mcap", driven(3.0), finish=False).read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[:-200])
     result = CliRunner().invoke(app, ["video", str(tmp_path / "cut.mcap"), "-o", str(tmp_path / "x.gif")])
@@ -89,6 +89,18 @@ def test_a_damaged_recording_is_told_in_a_line_and_leaves_no_half_film(recording
     assert told(str(bad), "--to", before, "-o", str(tmp_path / "x.gif"))[0] == 0
 
 
+@pytest.mark.parametrize("chunk", [0, 1])
+@pytest.mark.parametrize("at", range(9, 57, 4))
+def test_a_bit_that_is_flipped_in_a_chunk_s_head_is_told_in_a_line(recording, tmp_path, chunk, at):
+    data = bytearray(recording.read_bytes())
+    with recording.open("rb") as file:
+        start = scan(file).parts[chunk].index.chunk_start_offset
+    data[start + at] ^= 0x40
+    (tmp_path / "bad.mcap").write_bytes(data)
+    code, said = told(str(tmp_path / "bad.mcap"), "-o", str(tmp_path / "x.gif"))
+    assert (code in (0, 78), "Invalid argument" in said) == (True, False)
+
+
 def test_a_foreign_or_empty_file_is_told_in_a_line(tmp_path):
     (tmp_path / "diary.mcap").write_bytes(b"my diary, not a recording")
     write(tmp_path / "empty.mcap", [])
@@ -99,7 +111,8 @@ def test_a_foreign_or_empty_file_is_told_in_a_line(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "option"), [(("--seed", "3"), "--seed"), (("--say", "faster"), "--say"), (("--duration", "2"), "-")]
+    ("arguments", "option"),
+    [(("--seed", "3"), "--seed"), (("--say", "faster"), "--say"), (("--duration", "2"), "--duration")],
 )
 def test_a_recording_has_its_own_road_driver_and_words(recording, tmp_path, arguments, option):
     code, said = told(str(recording), *arguments, "-o", str(tmp_path / "x.gif"))
