@@ -31,7 +31,8 @@ def ailments(heartbeats: Iterable[Status], now_ns: int) -> list[str]:
 
 def exposition(heartbeats: Sequence[Status], now_ns: int) -> bytes:
     """All that the heartbeats say, in Prometheus' text format. A node's own metric `m` is `fastslow_node_m`."""
-    return generate_latest(_Collected([*_of_the_nodes(heartbeats[:MOST_NODES], now_ns)]))
+    ours_first = sorted(heartbeats, key=lambda status: status.node not in MUST_LIVE)
+    return generate_latest(_Collected([*_of_the_nodes(ours_first[:MOST_NODES], now_ns)]))
 
 
 class _Collected:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from deploy.cockpit.health import MOST_METRICS, ailments, exposition
+from deploy.cockpit.health import MOST_METRICS, MOST_NODES, ailments, exposition
 from deploy.cockpit.picture import SILENT_NS
 from deploy.run.launch import children, python_module
 from deploy.run.processes import free_port
@@ -75,6 +75,11 @@ def test_a_stranger_s_names_do_not_break_the_format(name):
 def test_a_stranger_s_metrics_are_bounded():
     told = samples(beat("x", metrics={f"m{k}": 1.0 for k in range(1000)}))
     assert sum(name.startswith("fastslow_node_") for name, _ in told) == MOST_METRICS
+
+
+def test_strangers_do_not_crowd_the_car_out():
+    told = samples(*(beat(f"a{k:02}") for k in range(MOST_NODES)), beat("sim"), beat("fast"))
+    assert {("fastslow_ready", "sim"), ("fastslow_ready", "fast")} <= set(told)
 
 
 def get(url: str) -> tuple[int, str]:
