@@ -16,7 +16,7 @@ from deploy.report.road import View, draw_road, shade, view
 from schemas.driving.road import LANE, VX, X, Y
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import Command, Directive, Event, EventKind, MetaAction
-from sim_node.drawing import AMBER, EGO, RED, meaning
+from sim_node.drawing import AMBER, CHIPS, EGO, RED, SOURCES, meaning
 
 WIDTH_IN = 7.6
 TITLE_IN, SPEED_IN = 0.28, 1.7
@@ -25,20 +25,7 @@ AFTER_S = 4.0
 MARK_ROWS, TEXT_CHARS = 6, 60
 CHAR_SHARE = 0.0085
 """Of the figure's width: a letter of the marks."""
-ACTIONS = {
-    MetaAction.SLOW_DOWN: "slower",
-    MetaAction.CRUISE: "hold",
-    MetaAction.SPEED_UP: "faster",
-    MetaAction.LEFT: "left",
-    MetaAction.RIGHT: "right",
-    MetaAction.EMERGENCY_BRAKE: "emergency brake",
-}
-BY = {
-    "policy": "the policy",
-    "masked": "the mask against the policy",
-    "coordination": "the directive",
-    "fallback": "the fallback rule",
-}
+ACTIONS = {**dict(CHIPS), MetaAction.EMERGENCY_BRAKE: "emergency brake"}
 MARKED = {
     EventKind.DELAYED: shade(RED),
     EventKind.OVERRIDDEN: shade(AMBER),
@@ -111,7 +98,7 @@ def _told(moments: Sequence[Moment], moment: Moment) -> str:
         parts.append("not answered")
     else:
         did = ACTIONS.get(MetaAction(action.meta_action), "?")
-        parts.append(f"{did}, by {BY.get(action.source, action.source)}")
+        parts.append(f"{did}, by {SOURCES.get(action.source, action.source)}")
         side = None if directive is None or directive.target_lane is None else directive.target_lane
         if side is not None and side != moment.observation.target_lane:
             wanted = MetaAction.LEFT if side < moment.observation.target_lane else MetaAction.RIGHT

@@ -1,11 +1,13 @@
-"""What a report is made of: recordings, tables of `evaluate`, studies and latency benchmarks, told apart by content."""
+"""What a report is made of: recordings, tables of `evaluate`, studies and latency benchmarks, told apart by content,
+rows by their suffix."""
 
 from __future__ import annotations
 
 import csv
 import json
+from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +45,8 @@ class Successes:
     """Ride score with its 95 % interval; a study has none."""
     own_fault: int | None = None
     """Collisions."""
+    source: str = field(default="", compare=False)
+    """The file's name: the same episodes as JSON and as rows are one."""
 
 
 @dataclass
@@ -76,11 +80,21 @@ def read(runs: Sequence[Path]) -> Inputs:
                 about = _result(path, inputs)
         except OSError as error:
             raise ConfigError(f"{path}: {error.strerror}") from None
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except (ValueError, LookupError, TypeError, AttributeError) as error:
             raise ConfigError(f"{path} is none of: {KNOWN} ({error!r})") from None
         inputs.about.append((str(path), about))
-    inputs.successes = list(dict.fromkeys(inputs.successes))  # the same table as JSON and as rows
+    inputs.successes = _told_apart(inputs.successes)
+    inputs.learnt = _told_apart(inputs.learnt)
     return inputs
+
+
+def _told_apart(found: Sequence[Successes]) -> list[Successes]:
+    """Each once; of one driver on one road in several files, each with its file's name."""
+    once = list(dict.fromkeys(found))
+    times = Counter((one.road, one.driver) for one in once)
+    return [
+        replace(one, driver=f"{one.driver} ({one.source})") if times[one.road, one.driver] > 1 else one for one in once
+    ]
 
 
 def name_of(recording: Recording) -> str:
@@ -120,7 +134,7 @@ def _rows(path: Path, inputs: Inputs) -> str:
         fault = sum(row["collided"] == "True" and row["struck"] != "True" for row in some)
         low, high = wilson95(good, n)
         ride = _rounded(ride_interval([float(row["ride_score"]) for row in some]))
-        inputs.successes.append(Successes(road, driver, n, good / n, low, high, ride, fault))
+        inputs.successes.append(Successes(road, driver, n, good / n, low, high, ride, fault, path.name))
     if not groups:
         raise ValueError("it has no rows")
     return f"{len(episodes)} episodes, a row each"
@@ -135,7 +149,7 @@ def _result(path: Path, inputs: Inputs) -> str:
             ride = _rounded([row[name] for name in ("ride_score", "ride_score_low", "ride_score_high")])
             who, fault = _driver(row["agent"], row["wish_mps"]), row["ego_fault_collisions"]
             inputs.successes.append(
-                Successes(row["scenario"], who, row["episodes"], row["success"], low, high, ride, fault)
+                Successes(row["scenario"], who, row["episodes"], row["success"], low, high, ride, fault, path.name)
             )
         return f"evaluation of {len(result['rows'])} rows, {result['rows'][0]['episodes']} episodes each"
     if schema == STUDY:
@@ -143,7 +157,9 @@ def _result(path: Path, inputs: Inputs) -> str:
         for row in result["summary"]:
             low, high = row["success_ci95"]
             who = row["algorithm"] if row["algorithm"] == "ours" else f"{row['algorithm']}-{row['variant']}"
-            inputs.learnt.append(Successes(row["scenario"], who, row["episodes"], row["success"], low, high))
+            inputs.learnt.append(
+                Successes(row["scenario"], who, row["episodes"], row["success"], low, high, source=path.name)
+            )
         return f"study of {len(result['cells'])} training runs"
     if schema == latency_results.SCHEMA:
         inputs.latencies.append((path.parent.name or path.name, latency_results.read(path)))

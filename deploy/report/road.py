@@ -10,10 +10,8 @@ import numpy as np
 from schemas.driving.road import HEADING, ID, LANE, LENGTH, VX, WIDTH, X, Y, is_oncoming
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import Observation
-from sim_node.drawing import AMBER, EGO, OTHER, RED, Colour
+from sim_node.drawing import AMBER, EGO, OTHER, RED, VIEW_M, VIEW_S, Colour
 
-VIEW_S, VIEW_M = 4.5, (60.0, 120.0)
-"""So many seconds of driving at the limit are in view, within these bounds [m]."""
 BEHIND = 0.34
 """How much of the view lies behind the ego."""
 MARGIN_M = 1.0

@@ -148,7 +148,20 @@ def test_the_same_episodes_as_table_and_as_rows_are_counted_once(tmp_path):
     assert (one.road, one.driver, one.episodes, one.success, one.own_fault) == ("merge", "ours", 4, 0.75, 1)
     assert [one.low, one.high] == wilson95(3, 4)
     assert one.ride == (61.5, 60.2, 62.8)
-    assert read([tmp_path / "rows.csv"] * 2).successes == counted
+    table = {
+        "agent": "ours", "scenario": "merge", "wish_mps": None, "episodes": 4, "success": 0.75,
+        "success_ci95": wilson95(3, 4), "ego_fault_collisions": 1,
+        "ride_score": 61.5, "ride_score_low": 60.23, "ride_score_high": 62.77,
+    }  # fmt: skip
+    (tmp_path / "table.json").write_text(json.dumps({"schema": EVALUATE, "rows": [table]}), encoding="utf-8")
+    assert read([tmp_path / "rows.csv", tmp_path / "table.json"]).successes == counted
+
+
+def test_other_episodes_of_the_same_driver_on_the_same_road_are_told_apart_by_their_files(tmp_path):
+    plain, dense = evaluation(tmp_path / "plain.json", 0.95), evaluation(tmp_path / "dense.json", 0.5)
+    found = read([plain, dense]).successes
+    assert {one.driver for one in found} >= {"ours (plain.json)", "ours (dense.json)"}
+    assert len({(one.road, one.driver) for one in found}) == len(found)
 
 
 def test_the_numbers_beside_the_bars_have_the_interval(tmp_path):
@@ -179,9 +192,10 @@ def test_a_folder_of_a_run_stands_for_what_it_holds(recording, tmp_path):
 
 def test_what_cannot_be_read_is_told_in_a_line_that_names_what_can(recording, tmp_path):
     (tmp_path / "diary.json").write_text('{"schema": "diary/1"}', encoding="utf-8")
+    (tmp_path / "empty.json").write_text(json.dumps({"schema": EVALUATE, "rows": []}), encoding="utf-8")
     (tmp_path / "diary.csv").write_text("day,mood\n1,good\n", encoding="utf-8")
     out = ("-o", tmp_path / "out")
-    for name in ("diary.json", "diary.csv"):
+    for name in ("diary.json", "diary.csv", "empty.json"):
         assert f"{name} is none of: a recording, what `evaluate --json`" in failed(tmp_path / name, *out)
     assert "No such file" in failed(tmp_path / "none.mcap", *out)
     assert "there is nothing to draw" in failed(write(tmp_path / "short.mcap", list(driven(0.1))[:1]), *out)
