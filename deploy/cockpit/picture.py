@@ -20,6 +20,7 @@ from schemas.driving.road import ID, LANE, LENGTH, VX, X
 from schemas.runtime.clock import NS
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import (
+    ENDS,
     POLICY_ACTIONS,
     Action,
     Closure,
@@ -156,11 +157,7 @@ class Picture:
 
     def _ended(self, how: str, directive_id: int | None, stamp_ns: int) -> None:
         plan = self._plan
-        if (
-            plan is not None
-            and directive_id == plan.directive.id
-            and how in ("fulfilled", "expired", "superseded", "cancelled", "failed")
-        ):
+        if plan is not None and directive_id == plan.directive.id and how in ENDS:
             plan.ended, plan.ended_ns = how, stamp_ns
 
     def _hold(self) -> None:

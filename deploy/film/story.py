@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from deploy.film.writer import Picture
 from schemas.runtime.clock import NS
-from schemas.wire.messages import Action, Command, Directive, Event, EventKind, Message, Observation, Reply
+from schemas.wire.messages import ENDS, Action, Command, Directive, Event, EventKind, Message, Observation, Reply
 from sim_node.drawing import picture
 
 NOTE_S = 4.0
 """How long it is shown what has happened."""
-OVER = ("fulfilled", "expired", "superseded", "cancelled", "failed")
-"""What ends a directive: an event's kind or a reply's outcome."""
 
 
 class Story:
@@ -52,14 +50,16 @@ class Story:
             self._note, self._noted_ns = note, now_ns
 
     def _over(self, how: str, directive_id: int | None) -> None:
-        if how in OVER and self._directive is not None and self._directive.id == directive_id:
+        if how in ENDS and self._directive is not None and self._directive.id == directive_id:
             self._directive = None
 
 
 def worded(event: Event) -> str:
     """An event in a few words."""
-    if event.kind in (EventKind.WORLD, EventKind.FAULT):
+    if event.kind in (EventKind.WORLD, EventKind.FAULT, EventKind.ACTUATOR):
         return event.detail
+    if event.kind in (EventKind.WAITING, EventKind.DUE) and event.detail:
+        return f"{event.kind}: {event.detail}"
     why = f": {event.reason}" if event.reason and event.kind in ("delayed", "overridden") else ""
     car = f" (car {event.vehicle})" if why and event.vehicle >= 0 else ""
     return f"{str(event.kind).replace('_', ' ')}{why}{car}"

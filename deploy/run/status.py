@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from schemas.runtime.clock import NS
-from schemas.wire.messages import Action, Directive, Event, EventKind, Observation, Reply, Status
+from schemas.wire.messages import ENDS, Action, Directive, Event, EventKind, Observation, Reply, Status
 from schemas.wire.text import plain
 
-_OVER = ("fulfilled", "expired", "superseded", "cancelled", "failed")
-_BY_REPLY = (*_OVER, "issued", "waiting")
+_BY_REPLY = (*ENDS, "issued", "waiting")
 """What a reply tells already, in better words than the event that goes with it."""
 
 
@@ -60,7 +59,7 @@ class Live:
         return f"  {kind:<11} {', '.join(parts)}{detail}"
 
     def _over(self, what: str, directive_id: int | None) -> None:
-        if what in _OVER and self._directive is not None and self._directive.id == directive_id:
+        if what in ENDS and self._directive is not None and self._directive.id == directive_id:
             self._directive = None
 
     def line(self, now_ns: int, waiting_for: str = "") -> str:

@@ -216,6 +216,8 @@ class Directive(Message, frozen=True, kw_only=True, tag="directive"):
 
 
 ReplyOutcome = Literal["heard", "refused", "issued", "fulfilled", "expired", "superseded", "cancelled", "failed"]
+ENDS = ("fulfilled", "expired", "superseded", "cancelled", "failed")
+"""What ends a directive: an event's kind or a reply's outcome."""
 
 
 class Reply(Message, frozen=True, kw_only=True, tag="reply"):

@@ -100,3 +100,12 @@ def test_a_drive_without_a_picture_is_an_error(tmp_path):
 def test_an_event_is_told_with_its_reason_and_vehicle():
     event = Event(epoch=1, stamp_ns=0, kind=EventKind.DELAYED, node="fast", tick=3, reason=Reason.ONCOMING, vehicle=4)
     assert worded(event) == "delayed: oncoming traffic (car 4)"
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [("actuator", "gap too small"), ("waiting", "waiting: gap too small"), ("due", "due: gap too small")],
+)
+def test_what_an_event_is_about_is_told(kind, said):
+    event = Event(epoch=1, stamp_ns=0, kind=EventKind(kind), node="sim", tick=1, detail="gap too small")
+    assert worded(event) == said
