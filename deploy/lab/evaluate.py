@@ -72,6 +72,9 @@ def evaluate_all(
         "noise_mps": noise_mps,
         "dropout": dropout,
     }
+    for agent in agents:
+        if agent in LANGUAGE:
+            _refuse_for_language(agent, conditions, film is not None)
     rows, unsurvived = [], {}
     for scenario in [find_scenario(spec) for spec in scenarios]:
         name = scenario.name
@@ -83,7 +86,6 @@ def evaluate_all(
             progress(f"{agent} on {name}" + ("" if wish_mps is None else f", {wish_mps:g} m/s wished"))
             more: dict[str, Any] = {}
             if agent in LANGUAGE and not is_policy:
-                _refuse_for_language(agent, conditions, film is not None)
                 results, more["llm"] = _drive_language(agent, road, seeds, directive, wish_mps)
             else:
                 who: str | Agent = behind_the_mask(agent) if is_policy else agent
