@@ -229,7 +229,7 @@ def test_a_picture_without_matplotlib_is_refused_with_the_fix_before_any_driving
     monkeypatch.setattr(evaluate, "evaluate_all", None)  # it may not be asked for
     asked = ["evaluate", "--wish", "10", "--wish", "15", "--plot", str(tmp_path / "never.png")]
     result = CliRunner().invoke(app, asked)
-    assert (result.exit_code, result.stderr) == (78, "fastslow: matplotlib is missing: pip install 'fastslow[train]'\n")
+    assert (result.exit_code, result.stderr) == (78, "fastslow: matplotlib is missing: pip install 'fastslow[view]'\n")
 
 
 def test_speed_against_comfort_is_drawn(tmp_path: Path) -> None:
