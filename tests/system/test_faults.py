@@ -128,6 +128,7 @@ def test_a_stranger_on_the_bus_neither_drives_the_car_nor_stops_it_and_is_told_o
     with driving(tmp_path) as drive:
         until(drive.applies_actions, "the fast node does not drive")
         first, restarts = drive.newest, child_of(drive.process.pid, "fast_node")
+        beats = drive.bus.subscribe(topics.STATUS)
         bad = Directive(
             epoch=first.epoch, stamp_ns=0, id=1, command_id=1, scene_tick=0, target_speed_mps=math.nan, ttl_s=math.inf
         )
@@ -149,7 +150,10 @@ def test_a_stranger_on_the_bus_neither_drives_the_car_nor_stops_it_and_is_told_o
             drive.bus.publish_bytes(topics.DIRECTIVE, encode(bad))
             drive.bus.publish_bytes(topics.OBSERVATION, b"\xff" * 150_000)
         assert child_of(drive.process.pid, "fast_node") == restarts
-        time.sleep(0.5)  # two heartbeats
+        until(
+            lambda: any(beat.node == "sim" and beat.metrics.get("strays", 0) > 60 for beat in beats.take()),
+            "nobody tells of the strays",
+        )
         summary = drive.end()
     unanswered = summary["ticks"] - summary["answered"]
     told = f"{summary['strays']} strays, {sum(summary['refused_payloads'].values())} payloads refused"
