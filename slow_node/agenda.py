@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from schemas.driving.measures import INF
 from schemas.driving.road import ID, LANE, LENGTH, VX, X, has_passed, is_oncoming
@@ -13,8 +13,9 @@ from slow_node.planning.scene import Scene
 from slow_node.planning.steps import Stage, ends, slots_of, stages
 from slow_node.understanding.slots import Slots
 
-WAIT_MAX_S = 60.0
-"""What has not come by then is not waited for any longer."""
+WAIT_MAX_S, CRAWL_MPS = 60.0, 5.0
+"""What has not come by then is not waited for any longer; a time or a distance that was named, as long as it takes, at
+this speed at least."""
 LONG_M = 6.5
 """A vehicle longer than this is a truck or a bus."""
 CLEAR_M, CLEAR_S = 120.0, 8.0
@@ -147,7 +148,7 @@ class Agenda:
         """Its stage has begun."""
         until = ends(self.stage)
         lasts = watch(until, scene, now_ns) if until is not None and until.kind not in ("done", "exit") else None
-        return Agenda(self.command, self.program, self.language, self.at, None, lasts)
+        return replace(self, waits=None, lasts=lasts)
 
     def moved_on(self, scene: Scene, now_ns: int) -> Agenda | None:
         """The next stage, and what it waits for; None: that was the last one."""
@@ -155,14 +156,15 @@ class Agenda:
         if trigger is None:
             return None
         waits = None if trigger.kind == "done" else watch(trigger, scene, now_ns)
-        return Agenda(self.command, self.program, self.language, self.at + 1, waits)
+        return replace(self, at=self.at + 1, waits=waits, lasts=None)
 
     def given_up(self, now_ns: int) -> bool:
         """It has waited for too long."""
         if self.waits is None:
             return False
-        timed = (self.waits.trigger.kind == "time" and self.waits.trigger.value) or 0.0
-        return now_ns - self.waits.began_ns > max(WAIT_MAX_S, timed + 1.0) * NS
+        kind, value = self.waits.trigger.kind, self.waits.trigger.value or 0.0
+        promised_s = value + 1.0 if kind == "time" else value / CRAWL_MPS if kind == "distance" else 0.0
+        return now_ns - self.waits.began_ns > max(WAIT_MAX_S, promised_s) * NS
 
 
 def told(trigger: Trigger | None) -> str:

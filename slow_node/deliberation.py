@@ -8,7 +8,7 @@ is ahead of somebody in a hurry. The words have not changed then, so no model is
 the present scene, by the rules of `slow_node.planning.directive`, at most once in `REPLAN_EVERY_S`.
 
 A command is a program (`slow_node.agenda`): its steps begin at once, one after the other, or when what they wait for
-has come, which is watched at every scene, for a minute at most.
+has come, which is watched at every scene from the end of the step before on, for a minute at most.
 
 A hurry and a time gap stand on after they were fulfilled, without further replies: the next slow car is overtaken too,
 and where the hurry took the ego to the left on a one-way road it is sent back to the right once that is free. All else
@@ -115,7 +115,7 @@ class Deliberation(Voice):
         before = self._pursuit
         held_up = before is not None and before.delayed_by and not before.fulfilled
         delayed = (before.directive.manoeuvre, before.delayed_by) if before is not None and held_up else ("", "")
-        return [Interpret(self._asked_for, command.text, scene, *delayed)]
+        return [Interpret(self._asked_for, command.id, command.text, scene, *delayed)]
 
     def on_interpretation(self, identity: int, found: Interpretation, now_ns: int) -> list[Effect]:
         """One has ended: the gates, in order, are its schema, the road, and how old its scene is.
@@ -141,12 +141,15 @@ class Deliberation(Voice):
         if follows(program.steps):
             steps = resolved(program.steps[0].act, self._said) if self._said is not None else ()
             if not steps and not found.slots.cancel:
-                return [self._refused(command, "unclear command: no wish before it to go by", "no_wish_before", now_ns)]
+                why, key = ("no", "no_wish_before") if self._said is None else ("another kind of", "unclear")
+                return [self._refused(command, f"unclear command: {why} wish before it to go by", key, now_ns)]
             program = structs.replace(program, outcome="directive", steps=steps or steps_of(found.slots))
         elif program.outcome != "directive" or not program.steps or found.slots.outcome != "directive":
             refusal = directive_of(found.slots, scene)
             if isinstance(refusal, Refusal):
                 return [self._refused(command, found.why or refusal.why, "", now_ns, say=refusal.say)]
+        if not program.steps:
+            return [self._refused(command, found.why or "the answer asks for nothing", "unclear", now_ns)]
         return self._undertake(command, program, found, scene, late, now_ns)
 
     def _undertake(
@@ -164,9 +167,10 @@ class Deliberation(Voice):
             return [self._refused(command, found.why or draft.why, "", now_ns, say=draft.say)]
         if late:
             return [self._refused(command, "the answer came too late for its scene", "again", now_ns)]
-        dropped = self._drop_agenda("cancelled" if slots.cancel else "superseded", now_ns)
+        is_to_wait = waits is not None and not waits.due(scene, now_ns)
+        dropped = self._drop_agenda("cancelled" if slots.cancel else "superseded", is_to_wait, now_ns)
         self._said = Said(program.steps, scene)
-        if waits is not None and not waits.due(scene, now_ns):
+        if is_to_wait:
             self._agenda = agenda
             return [*dropped, *self._waiting(agenda, draft.say, now_ns)]
         self._agenda = agenda.under_way(scene, now_ns)
@@ -207,6 +211,20 @@ class Deliberation(Voice):
         directive = self._directive(agenda.command, draft, scene, "its time is over", now_ns)
         return [event, directive, self._done(agenda.command, over, directive.id, now_ns)]
 
+    def _agenda_in_new_world(self, scene: Scene, now_ns: int) -> list[Effect]:
+        """What was waited for there does not come here; what is to last begins anew."""
+        agenda = self._agenda
+        if agenda is None:
+            return []
+        if agenda.waits is None:
+            self._agenda = agenda.under_way(scene, now_ns)
+            return []
+        self._agenda = None
+        if self._pursuit is not None and self._pursuit.command.id == agenda.command.id:
+            self._pursuit = None
+        say = sentence("waited_in_vain", agenda.language)
+        return [self._reply(agenda.command, "expired", now_ns, why="the world was reset", say=say)]
+
     def _move_on(self, agenda: Agenda, scene: Scene, now_ns: int) -> list[Effect]:
         """From a stage that is done to the next one, at once or after what that waits for."""
         following = agenda.moved_on(scene, now_ns)
@@ -229,14 +247,17 @@ class Deliberation(Voice):
         self._agenda = agenda.under_way(scene, now_ns)
         return self._begin(agenda.command, slots, "", scene, draft, now_ns)
 
-    def _drop_agenda(self, outcome: ReplyOutcome, now_ns: int) -> list[Effect]:
-        """A newer command has come: what still waited is given up, and its passenger hears so once."""
+    def _drop_agenda(self, outcome: ReplyOutcome, is_to_wait: bool, now_ns: int) -> list[Effect]:
+        """A newer command has come: what still waited is given up, and its passenger hears so once. What is under way
+        goes on, without further replies, where the newer one is to wait."""
         agenda, pursuit = self._agenda, self._pursuit
         self._agenda = None
         if agenda is None or agenda.waiting() is None:
             return []
         if pursuit is not None and pursuit.command.id == agenda.command.id and not pursuit.fulfilled:
-            return []
+            if not is_to_wait:
+                return []  # it hears so as the newer one begins
+            self._pursuit = replace(pursuit, fulfilled=True)
         say = sentence(outcome, agenda.language)
         return [self._reply(agenda.command, outcome, now_ns, say=say, why="by a newer command")]
 
@@ -273,22 +294,18 @@ class Deliberation(Voice):
         if self._held is not None:
             held, self._held = self._held, None
             return self._ask(held, scene, now_ns)
+        if before is not None and before.epoch != scene.epoch:
+            gone = self._agenda_in_new_world(scene, now_ns)
+            pursuit = self._pursuit
+            return [*gone, *(self._renew_in_new_world(pursuit, scene, now_ns) if pursuit is not None else ())]
+        if self._agenda is not None and (due := self._look_after(self._agenda, scene, now_ns)):
+            return due
         pursuit = self._pursuit
-        if self._agenda is not None:
-            if before is not None and before.epoch != scene.epoch and self._agenda.waits is not None:
-                gone, self._agenda = self._agenda, None
-                say = sentence("waited_in_vain", gone.language)
-                return [self._reply(gone.command, "expired", now_ns, why="the world was reset", say=say)]
-            due = self._look_after(self._agenda, scene, now_ns)
-            if due:
-                return due
-        if pursuit is None:
+        if pursuit is None or before is None:
             return []
-        if before is None or before.epoch != scene.epoch:
-            return self._renew_in_new_world(pursuit, scene, now_ns)
         pursuit = replace(pursuit, min_ttc_s=min(pursuit.min_ttc_s, scene.ttc_s))
         pursuit = self._pursuit = replace(pursuit, news=pursuit.news_from(before, scene) or pursuit.news)
-        if not pursuit.fulfilled and not scene.borrowing and now_ns - pursuit.began_ns > PURSUIT_MAX_S * NS:
+        if not pursuit.is_done and not scene.borrowing and now_ns - pursuit.began_ns > PURSUIT_MAX_S * NS:
             return self._expire(pursuit, f"no chance within {PURSUIT_MAX_S:.0f} s", now_ns)
         if pursuit.overtakes and not pursuit.returning and scene.borrowing and pursuit.passed(scene):
             # At once: seconds spent waiting would be spent facing oncoming traffic.
@@ -331,8 +348,9 @@ class Deliberation(Voice):
         effects: list[Effect] = []
         agenda = self._agenda
         if agenda is not None and agenda.command.id == pursuit.command.id and not pursuit.fulfilled:
-            if agenda.lasts is not None:
-                return []  # it is done when it has lasted
+            if agenda.lasts is not None:  # it is done when it has lasted
+                self._pursuit = replace(pursuit, reached=True)
+                return []
             if agenda.next_trigger is not None:
                 self._pursuit = replace(pursuit, fulfilled=True)
                 return [self._remember(pursuit, "fulfilled", now_ns), *self._move_on(agenda, scene, now_ns)]

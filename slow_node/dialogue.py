@@ -60,8 +60,6 @@ def _as_change(step: Step, scene: Scene) -> Step:
         return replace(step, act="farther" if step.value > before else "closer", value=None, unit=None, mode=None)
     if step.act in ("yield", "smoother"):
         return Step(act="farther" if step.act == "yield" else "slower")
-    if step.act == "lane" and step.side is None and step.count is not None:
-        return step
     return step
 
 
@@ -108,7 +106,7 @@ def _as_before(last: Said) -> tuple[Step, ...]:
     if acts & {"gap", "closer", "farther", "yield"}:
         steps.append(Step(act="gap", value=round(max(headway_now_s(scene), 1.0), 3), unit="s", mode="to"))
     if "lane" in acts:
-        own = [lane for lane, at in enumerate(scene.lanes) if at.direction == 1 and scene.exists(lane)]
+        own = scene.own_lanes
         if scene.ego_lane in own:
             steps.append(Step(act="lane", count=min(own.index(scene.ego_lane) + 1, 8)))
     return tuple(steps)

@@ -14,6 +14,7 @@ class Interpret:
     """Effect: find out what a command means. At most one is in flight; a newer one replaces it."""
 
     id: int
+    command_id: int
     command: str
     scene: Scene
     delayed: str = ""

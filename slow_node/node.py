@@ -59,8 +59,6 @@ class SlowNode:
         self._model_ms = 0.0
         self._thoughts = ThoughtsFile(thoughts_path)
         self._telemetry = telemetry_of(model)
-        self._spoken = 0
-        """The newest command's id."""
         self._told_s = 0.0
 
     def metrics(self) -> dict[str, float]:
@@ -112,7 +110,6 @@ class SlowNode:
                 self._carry_out(self._deliberation.refuse_payload(str(fault), arrival_id, now_ns))
                 continue
             self._diary.command(command, now_ns)
-            self._spoken = command.id
             try:
                 self._carry_out(self._deliberation.on_command(command, now_ns))
             except Exception as error:  # a passenger must get an answer even where this broke
@@ -139,7 +136,7 @@ class SlowNode:
                     self._bus.publish(topics.EVENT, effect)
                 case Interpret():
                     self._abandon()
-                    self._interpretation = asyncio.get_running_loop().create_task(self._interpret(effect, self._spoken))
+                    self._interpretation = asyncio.get_running_loop().create_task(self._interpret(effect))
                 case Abandon():
                     self._abandon()
                 case Remember():
@@ -152,14 +149,14 @@ class SlowNode:
             self._interpretation.cancel()
             self._interpretation = None
 
-    async def _interpret(self, effect: Interpret, command_id: int) -> None:
+    async def _interpret(self, effect: Interpret) -> None:
         trace = Trace()
         try:
             found = await self._interpreter.interpret(
                 effect.command, effect.scene, effect.delayed, effect.delayed_by, trace
             )
         except asyncio.CancelledError:
-            self._record(trace, Interpretation(None, source=trace.model), effect.command, command_id, "superseded")
+            self._record(trace, Interpretation(None, source=trace.model), effect, "superseded")
             raise
         except Exception as error:  # a passenger must get an answer even where this broke
             log(NAME, "fault", f"{type(error).__name__}: {error}")
@@ -170,23 +167,28 @@ class SlowNode:
         self._interpretation = None
         now_ns = time.monotonic_ns()
         self._diary.interpretation(effect.id, found, now_ns)
-        effects = self._deliberation.on_interpretation(effect.id, found, now_ns)
+        try:
+            effects = self._deliberation.on_interpretation(effect.id, found, now_ns)
+        except Exception as error:
+            self._tell_of(error)
+            why = f"internal error: {type(error).__name__}"
+            effects = self._deliberation.refuse_payload(why, effect.command_id, now_ns)
         self._carry_out(effects)
         reply = next(
             (e for e in effects if isinstance(e, Reply) and e.outcome not in ("superseded", "cancelled")), None
         )
         if reply is not None and reply.why:
             trace.guards.append(reply.why)
-        self._record(trace, found, effect.command, command_id, reply.outcome if reply else "superseded")
+        self._record(trace, found, effect, reply.outcome if reply else "superseded")
 
-    def _record(self, trace: Trace, found: Interpretation, command: str, command_id: int, outcome: str) -> None:
+    def _record(self, trace: Trace, found: Interpretation, asked: Interpret, outcome: str) -> None:
         """Tell how the command came to be understood, with what became of it."""
         thought = thought_of(
             trace,
             epoch=self._deliberation.epoch,
             stamp_ns=time.monotonic_ns(),
-            command_id=command_id,
-            command=command,
+            command_id=asked.command_id,
+            command=asked.command,
             source=found.source,
             outcome=outcome,
             slots=found.slots,

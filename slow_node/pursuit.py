@@ -40,6 +40,8 @@ class Pursuit:
     """The rightmost own lane that it was planned from: a hurry goes back as far as that."""
     fulfilled: bool = False
     """The passenger has had the last reply; what was asked for stands on."""
+    reached: bool = False
+    """What was asked for is so, and is to last."""
     returning: bool = False
     news: str = ""
     """Why to plan again, as soon as the rate allows."""
@@ -53,6 +55,11 @@ class Pursuit:
     def hurried(self) -> bool:
         """It does not end with the next car."""
         return hurried(self.slots)
+
+    @property
+    def is_done(self) -> bool:
+        """Nothing is left to come true."""
+        return self.fulfilled or self.reached
 
     @property
     def overtakes(self) -> bool:

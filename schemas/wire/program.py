@@ -1,4 +1,4 @@
-"""What a command asks for, as a short script: one schema that is sent, validated, and that models are trained on.
+"""What a command asks for, as a short script that is sent and recorded.
 
 SI units. A field that is left out asks for nothing. Steps without `when` begin together with the one before them.
 """
@@ -72,17 +72,7 @@ class Program(Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unkn
     """The passenger speaks of miles; else of kilometres and metres."""
 
 
-def read_program(value: object) -> Program:
-    """A program out of plain JSON values, as a model may write it. Raises `msgspec.ValidationError`, which says why."""
-    return msgspec.convert(value, Program)
-
-
 def plain(one: Program | Step) -> dict[str, Any]:
     """As plain JSON values, without what is left out."""
     values: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(one))
     return values
-
-
-def program_schema() -> dict[str, Any]:
-    """The JSON schema of a program, for a model's server to hold its answers to."""
-    return msgspec.json.schema(Program)

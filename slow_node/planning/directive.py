@@ -133,13 +133,7 @@ def directive_of(slots: Slots, scene: Scene) -> Directive | Refusal:
     if lane is None and speed is None and headway is None and slots.gap != "keep" and slots.overtake is not False:
         return _refusal("the answer asks for nothing", slots, "unclear", "unclear")
     style: Style = "calm" if slots.speed == "slower" or slots.gap == "farther" else "normal"
-    over = slots.target_speed_mps is not None and slots.target_speed_mps > _cap(scene, lane) + OVER_LIMIT_MPS
-    say = (
-        slots.say
-        if slots.say and not over
-        else spoken(slots, scene, "limit" if over else _key(slots), lane, speed, headway)
-    )
-    return _draft(scene, manoeuvre, lane, speed, headway, style, say)
+    return _draft(scene, manoeuvre, lane, speed, headway, style, _told(slots, scene, _key(slots), lane, speed, headway))
 
 
 def _only_gap(slots: Slots) -> bool:
@@ -260,6 +254,15 @@ def _say(slots: Slots, key: str) -> str:
     return slots.say or sentence(key, slots.language)
 
 
+def _told(
+    slots: Slots, scene: Scene, key: str, lane: int | None, speed: float | None, headway: float | None = None
+) -> str:
+    """The model's sentence or ours; where a named speed is cut to the limit always ours, which says so."""
+    if slots.target_speed_mps is not None and slots.target_speed_mps > _cap(scene, lane) + OVER_LIMIT_MPS:
+        return spoken(slots, scene, "limit", lane, speed, headway)
+    return slots.say or spoken(slots, scene, key, lane, speed, headway)
+
+
 def _overtake(slots: Slots, scene: Scene) -> Directive | Refusal:
     kept = scene.kept_lane
     sides = [kept - 1, kept + 1] if not scene.two_way else [kept - 1]
@@ -268,12 +271,7 @@ def _overtake(slots: Slots, scene: Scene) -> Directive | Refusal:
     for lane in sides:
         if may_take(scene, lane) or (scene.exists(lane) and scene.lanes[lane].direction == -1):
             cap = _cap(scene, lane)
-            over = slots.target_speed_mps is not None and slots.target_speed_mps > cap + OVER_LIMIT_MPS
-            say = (
-                slots.say
-                if slots.say and not over
-                else spoken(slots, scene, "limit" if over else "overtake", lane, cap)
-            )
+            say = _told(slots, scene, "overtake", lane, cap)
             return _draft(scene, "overtake", lane, cap, style="assertive", say=say)
     return _refusal("there is no lane to overtake in", slots, "no_lane")
 

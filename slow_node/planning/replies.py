@@ -15,6 +15,9 @@ SENTENCES: dict[str, dict[str, str]] = {
 """By key, then by language; "{speed}" and the like stand for numbers."""
 
 
+KILOMETRE, MILE = 1000.0, 1609.344
+
+
 def sentence(key: str, language: str, **numbers: str) -> str:
     """One sentence; English where the language is none of ours. Raises KeyError for an unknown key or number."""
     known = SENTENCES[key]
@@ -28,4 +31,6 @@ def spoken_speed(mps: float, miles: bool = False) -> str:
 
 def spoken_length(metres: float, miles: bool = False) -> str:
     """A distance as the passenger speaks of it."""
+    if metres >= KILOMETRE:
+        return f"{metres / MILE:.1f} mi" if miles else f"{metres / KILOMETRE:.1f} km"
     return f"{metres / FOOT:.0f} ft" if miles else f"{metres:.0f} m"

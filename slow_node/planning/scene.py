@@ -111,6 +111,11 @@ class Scene:
         """The ego is in an oncoming lane."""
         return self.lanes[self.ego_lane].direction == -1
 
+    @property
+    def own_lanes(self) -> list[int]:
+        """Those of our direction that are part of the road here, from the left."""
+        return [lane for lane, at in enumerate(self.lanes) if at.direction == 1 and self.exists(lane)]
+
     def exists(self, lane: int) -> bool:
         """The lane is part of the road here."""
         return 0 <= lane < len(self.lanes) and self.lanes[lane].start_m <= self.x_m <= self.lanes[lane].end_m

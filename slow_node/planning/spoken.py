@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from schemas.driving.measures import INF
-from schemas.wire.messages import Lane
 from slow_node.planning.replies import sentence, spoken_length, spoken_speed
 from slow_node.planning.scene import Other, Scene, is_slow
 from slow_node.understanding.slots import Slots
@@ -47,10 +46,8 @@ def boxed_in(scene: Scene) -> bool:
         return False
     if lead.gap_m > BOXED_S * max(scene.speed_mps, 1.0):
         return False
-    beside = [
-        lane for lane in (scene.ego_lane - 1, scene.ego_lane + 1) if scene.exists(lane) and _ours(scene.lanes[lane])
-    ]
-    return not any(lane in scene.free_lanes for lane in beside)
+    own, here = scene.own_lanes, scene.ego_lane
+    return not any(lane in own and lane in scene.free_lanes for lane in (here - 1, here + 1))
 
 
 def too_near(scene: Scene, closest_s: float, slots: Slots) -> str:
@@ -65,10 +62,6 @@ def too_near(scene: Scene, closest_s: float, slots: Slots) -> str:
 
 def place(scene: Scene, lane: int | None = None) -> dict[str, str]:
     """A lane's number among those of our direction, from the left, and how many there are; the ego's by default."""
-    own = [index for index, at in enumerate(scene.lanes) if scene.exists(index) and _ours(at)]
+    own = scene.own_lanes
     here = scene.kept_lane if lane is None else lane
     return {"lane": str(own.index(here) + 1 if here in own else 1), "lanes": str(max(len(own), 1))}
-
-
-def _ours(lane: Lane) -> bool:
-    return lane.direction == 1

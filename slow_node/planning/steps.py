@@ -105,7 +105,7 @@ def _lane(step: Step, scene: Scene) -> dict[str, object]:
         return {"lane": step.side} if count == 1 else _to(here + (-count if step.side == "left" else count), scene)
     if step.count is None:
         return {"lane": step.side}
-    own = [lane for lane in range(len(scene.lanes)) if scene.lanes[lane].direction == 1 and scene.exists(lane)]
+    own = scene.own_lanes
     if step.count > len(own):
         return {"lane": "right" if step.side != "rightmost" else "left", "to_lane": len(scene.lanes)}
     return _to(own[-step.count if step.side == "rightmost" else step.count - 1], scene)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from schemas.wire.program import Step, Trigger
+from schemas.wire.program import Outcome, Program, Step, Trigger
 from slow_node.agenda import WAIT_MAX_S
-from slow_node.planning.replies import SENTENCES
-from tests.ride import LIMIT, TWO_WAY, Ride, directives
+from slow_node.planning.replies import SENTENCES, spoken_length
+from slow_node.understanding.slots import Slots
+from tests.ride import HURRY, LIMIT, TWO_WAY, Ride, directives
 
 LEFT = Step(act="lane", side="left", count=1)
 RIGHT = Step(act="lane", side="right", count=1)
@@ -157,6 +158,89 @@ def test_the_second_step_is_sent_when_the_first_is_fulfilled_and_the_passenger_h
     assert "fulfilled" not in ride.outcomes
     ride.tell("fulfilled")
     assert ride.outcomes[-1] == "fulfilled"
+
+
+def test_a_reset_while_something_is_waited_for_ends_that_and_plans_what_is_under_way_again() -> None:
+    ride = riding()
+    ride.say(HURRY)
+    ride.ask_for(later(LEFT, kind="time", value=30.0))
+    sent = ride.look(1, epoch=2)
+    assert [d.epoch for d in directives(sent)] == [2]
+    assert ride.outcomes[-1] == "expired"
+
+
+def test_a_step_of_a_command_that_expires_with_its_world_is_not_planned_again() -> None:
+    ride = riding()
+    ride.ask_for(LEFT, later(RIGHT, kind="time", value=5.0))
+    ride.tell("fulfilled")
+    assert directives(ride.look(1, epoch=2)) == []
+
+
+def test_what_is_to_last_for_a_distance_begins_anew_in_a_new_world() -> None:
+    ride = Ride()
+    ride.look(1, at_m=2000.0)
+    ride.ask_for(Step(act="slower", until=Trigger(kind="distance", value=500.0)))
+    ride.look(1, epoch=2, at_m=0.0)
+    ride.look(1, epoch=2, at_m=490.0)
+    assert ride.outcomes[-1] == "issued"
+    ride.look(1, epoch=2, at_m=501.0)
+    assert ride.outcomes[-1] == "fulfilled"
+
+
+def test_a_speed_that_is_reached_and_is_to_last_for_minutes_does_not_expire() -> None:
+    ride = riding()
+    ride.ask_for(Step(act="drive", value=10.0, unit="mps", mode="to", until=Trigger(kind="time", value=180.0)))
+    ride.tell("fulfilled")
+    ride.wait(179, 1)
+    assert set(ride.outcomes) == {"heard", "issued"}
+    ride.wait(2, 1)
+    assert ride.outcomes[-1] == "fulfilled"
+
+
+def test_a_distance_that_was_named_is_waited_for_as_long_as_it_takes() -> None:
+    ride = riding()
+    ride.ask_for(later(LEFT, kind="distance", value=2000.0))
+    for k in range(1, 100):
+        ride.look(1, after_s=1.0, at_m=20.0 * k)
+    assert ride.directives == []
+    ride.look(1, after_s=1.0, at_m=2001.0)
+    assert [d.target_lane for d in ride.directives] == [0]
+
+
+def test_a_distance_is_not_waited_for_for_ever_by_a_car_that_stands() -> None:
+    ride = riding()
+    ride.ask_for(later(LEFT, kind="distance", value=2000.0))
+    ride.wait(401, 1)
+    assert ride.outcomes[-1] == "expired"
+
+
+def test_the_rest_of_a_program_is_superseded_by_a_newer_one_that_waits_and_what_is_under_way_ends_in_silence() -> None:
+    ride = riding()
+    ride.ask_for(*FIRST_LEFT_THEN_SLOWER)
+    ride.ask_for(later(RIGHT, kind="time", value=30.0))
+    assert ride.outcomes.count("superseded") == 1
+    ride.tell("fulfilled")
+    assert "fulfilled" not in ride.outcomes
+
+
+@pytest.mark.parametrize("outcome", ["directive", "unclear"])
+def test_a_program_without_a_step_is_answered_whatever_its_slots_say(outcome: Outcome) -> None:
+    ride = Ride(TWO_WAY)
+    ride.look(0)
+    ride.say(Slots(outcome="directive", lane="right"), program=Program(outcome=outcome))
+    assert (ride.outcomes[-1], ride.directives) == ("refused", [])
+
+
+def test_a_wish_that_has_no_more_of_it_is_not_said_to_be_unknown() -> None:
+    ride = riding((1, 60.0, 10.0))
+    ride.ask_for(Step(act="overtake"))
+    follow(ride, "more")
+    assert ride.replies[-1].say == SENTENCES["unclear"]["en"]
+
+
+def test_long_ways_are_told_in_kilometres_or_miles() -> None:
+    assert [spoken_length(m, miles) for m, miles in ((999.0, False), (2000.0, False), (3219.0, True))] == [
+        "999 m", "2.0 km", "2.0 mi"]  # fmt: skip
 
 
 def test_a_directive_carries_its_program_and_what_comes_next() -> None:

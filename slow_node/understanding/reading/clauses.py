@@ -40,8 +40,6 @@ class Clause:
     until: Trigger | None = None
     then: bool = False
     """It follows what was said before."""
-    asks: bool = False
-    """Its sentence ends with a question mark."""
 
 
 def sentences(command: str) -> list[str]:
@@ -52,7 +50,6 @@ def sentences(command: str) -> list[str]:
 def clauses(sentence: str) -> list[Clause]:
     """The clauses of one sentence, in order."""
     text = _EVERY_ROAD.sub("", searchable(sentence))
-    asks = sentence.rstrip().endswith("?")
     found: list[Clause] = []
     waiting: Trigger | None = None
     for number, part in enumerate(_THEN.split(_FIRST.sub("", _LEAD_IN.sub("", text)))):
@@ -63,10 +60,10 @@ def clauses(sentence: str) -> list[Clause]:
         if not rest:
             waiting = when
             continue
-        found.append(Clause(rest, when, until, number > 0 and bool(found), asks))
+        found.append(Clause(rest, when, until, number > 0 and bool(found)))
         waiting = None
     if waiting is not None:
-        found.append(Clause("", waiting, None, bool(found), asks))
+        found.append(Clause("", waiting, None, bool(found)))
     return found
 
 

@@ -83,10 +83,7 @@ def steps_of(slots: Slots, text: str = "") -> tuple[Step, ...]:
     steps: list[Step] = []
     if slots.cancel:
         steps.append(Step(act="cancel"))
-    if (moved := _gap(slots, text)) is not None:
-        gap_step, has_factor = moved
-    else:
-        gap_step, has_factor = None, False
+    gap_step, has_factor = _gap(slots, text)
     speed = _speed(slots, text, takes_factor=not has_factor)
     if speed is not None:
         steps.append(speed)
@@ -104,7 +101,6 @@ def steps_of(slots: Slots, text: str = "") -> tuple[Step, ...]:
             Step(
                 act="overtake",
                 object=who[1] if who and who[1] != "car" else "",
-                side=None,
                 polarity="do" if slots.overtake else "not",
             )
         )
@@ -127,7 +123,7 @@ def _changes(text: str) -> bool:
     return _BY_METRES.search(text) is not None or re.search(rf"\b(?:{_MORE}|{_LESS})\b", text) is not None
 
 
-def factor_said(text: str) -> float | None:
+def _factor_said(text: str) -> float | None:
     """A multiple that is named, as a part of the whole: "half", "twice", "20 % less" (0.8)."""
     percent = _PERCENT.search(text)
     if percent is not None:
@@ -160,7 +156,7 @@ def _speed(slots: Slots, text: str, *, takes_factor: bool) -> Step | None:
         return Step(act="faster" if faster else "slower", value=value, unit="mps", mode="to")
     if slots.speed == "none":
         return None
-    factor = factor_said(text) if takes_factor else None
+    factor = _factor_said(text) if takes_factor else None
     if factor is not None:
         percent = _PERCENT.search(text) is not None
         times = (1.0 + factor if faster else 1.0 - factor) if percent else factor
@@ -193,7 +189,7 @@ def _change(text: str) -> float | None:
     return change if re.search(by, text) or re.search(more, text) else None
 
 
-def _gap(slots: Slots, text: str) -> tuple[Step | None, bool] | None:
+def _gap(slots: Slots, text: str) -> tuple[Step | None, bool]:
     """The step about the gap, and whether a factor in the text belongs to it."""
     act = {"closer": "closer", "farther": "farther"}.get(slots.gap)
     cars = _CARS.search(text)
@@ -224,8 +220,8 @@ def _gap(slots: Slots, text: str) -> tuple[Step | None, bool] | None:
     if slots.gap == "keep":
         return Step(act="keep", object="gap"), False
     if act is None:
-        return None
-    factor = factor_said(text)
+        return None, False
+    factor = _factor_said(text)
     if factor is None or (slots.speed in ("faster", "slower") and slots.gap == "none"):
         return Step(act="closer" if act == "closer" else "farther"), False
     if _PERCENT.search(text):
