@@ -1,24 +1,36 @@
-"""One command that is being pursued: its directive, and what its road asks for now. Pure, as `deliberation` is."""
+"""One command that is being pursued, until its end: its directive, and what its road asks for. Pure, as `deliberation`."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from msgspec import structs
 
 from schemas.driving.measures import INF
-from schemas.wire.messages import Command, Directive
+from schemas.runtime.clock import NS
+from schemas.wire.messages import Command, Directive, ReplyOutcome
+from slow_node.effects import Effect, Remember
 from slow_node.planning.directive import (
+    Refusal,
+    asks_the_same,
     directive_of,
     hurried,
     may_take,
     on_this_road,
     onward_directive,
+    return_directive,
     right_directive,
     slow_lead,
 )
+from slow_node.planning.replies import sentence
 from slow_node.planning.scene import Scene
 from slow_node.understanding.slots import Slots
+from slow_node.voice import Voice
+
+RENEW_BEFORE_S = 3.0
+REPLAN_EVERY_S = 3.0
+PURSUIT_MAX_S = 120.0
+"""What has not come true by then is given up, rather than renewed for ever."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +67,12 @@ class Pursuit:
     def hurried(self) -> bool:
         """It does not end with the next car."""
         return hurried(self.slots)
+
+    def remembered(self, outcome: str, now_ns: int) -> Remember:
+        """What came of it, for the memory."""
+        came = f"{outcome}, held up by {self.delayed_by}" if self.delayed_by else outcome
+        took_s = (now_ns - self.began_ns) / NS
+        return Remember(self.command.text, self.scene, self.slots, came, took_s, self.min_ttc_s)
 
     @property
     def is_done(self) -> bool:
@@ -122,3 +140,121 @@ class Pursuit:
         """It was sent back to the right, has not gone yet, and would run up to a slow car there."""
         lane = self.directive.target_lane
         return self.fulfilled and self.hurried and lane == scene.home_lane + 1 and lane in scene.slow_lanes
+
+
+class Pursuing(Voice):
+    """Pursues one command: begins, plans again, renews in a new world, gives up."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._pursuit: Pursuit | None = None
+
+    def _watch_over(self, pursuit: Pursuit, before: Scene, scene: Scene, now_ns: int) -> list[Effect]:
+        """What a new scene means for it: the end, the way back, another directive, or nothing."""
+        pursuit = replace(pursuit, min_ttc_s=min(pursuit.min_ttc_s, scene.ttc_s))
+        pursuit = self._pursuit = replace(pursuit, news=pursuit.news_from(before, scene) or pursuit.news)
+        if not pursuit.is_done and not scene.borrowing and now_ns - pursuit.began_ns > PURSUIT_MAX_S * NS:
+            return self._expire(pursuit, f"no chance within {PURSUIT_MAX_S:.0f} s", now_ns)
+        if pursuit.overtakes and not pursuit.returning and scene.borrowing and pursuit.passed(scene):
+            # At once: seconds spent waiting would be spent facing oncoming traffic.
+            draft = return_directive(scene, pursuit.slots.language)
+            return self._issue(replace(pursuit, returning=True), draft, scene, "the car ahead is passed", now_ns)
+        if now_ns - pursuit.directive.stamp_ns > (pursuit.directive.ttl_s - RENEW_BEFORE_S) * NS:
+            return self._issue(pursuit, pursuit.planned_again(scene), scene, "about to expire", now_ns)
+        return self._plan_again(now_ns)
+
+    def _begin(
+        self, command: Command, slots: Slots, why: str, scene: Scene, draft: Directive, now_ns: int
+    ) -> list[Effect]:
+        effects: list[Effect] = []
+        old = self._pursuit
+        if old is not None and not old.fulfilled and old.command.id != command.id:
+            outcome: ReplyOutcome = "cancelled" if slots.cancel else "superseded"
+            say = sentence(outcome, old.slots.language)
+            effects.append(self._reply(old.command, outcome, now_ns, say=say, why="by a newer command"))
+            if old.delayed_by:
+                effects.append(old.remembered(outcome, now_ns))
+        directive = self._directive(command, draft, scene, slots.reasoning, now_ns)
+        lead_id = scene.lead.id if scene.lead else None
+        self._pursuit = Pursuit(
+            command, slots, scene, directive, now_ns, frozenset({directive.id}), lead_id, scene.home_lane
+        )
+        reply = self._reply(command, "issued", now_ns, directive_id=directive.id, say=directive.say, why=why)
+        effects += [directive, reply]
+        if slots.cancel:
+            self._pursuit = None  # giving up is done with its directive: nothing to wait for
+            effects.append(self._done(command, slots, directive.id, now_ns))
+        return effects
+
+    def _plan_again(self, now_ns: int) -> list[Effect]:
+        """Plan for what is new, at a bounded rate; in the middle of a manoeuvre on the wrong side never.
+
+        A directive that stays the same is not sent again: the fast node would forget how long it has been waiting. An
+        overtake it knows for the same manoeuvre, and carries on.
+        """
+        pursuit, scene = self._pursuit, self._scene
+        if pursuit is None or scene is None or not pursuit.news:
+            return []
+        if pursuit.planned_ns is not None and now_ns - pursuit.planned_ns < REPLAN_EVERY_S * NS:
+            return []
+        what = pursuit.news
+        pursuit = self._pursuit = replace(pursuit, news="")
+        if scene.borrowing or pursuit.returning:
+            return []
+        self.metrics["replans"] += 1
+        pursuit = self._pursuit = replace(pursuit, planned_ns=now_ns)
+        draft = pursuit.planned_again(scene)
+        if draft.manoeuvre != "overtake" and asks_the_same(draft, pursuit.directive):
+            return []
+        return self._issue(pursuit, draft, scene, what, now_ns)
+
+    def _issue(self, pursuit: Pursuit, draft: Directive, scene: Scene, what: str, now_ns: int) -> list[Effect]:
+        """Another directive for the same command; a reply only where there is something to say, and none after the
+        last.
+
+        `what`: the reason for it, kept with the directive.
+        """
+        directive = self._directive(pursuit.command, draft, scene, f"again: {what}", now_ns)
+        lead_id = pursuit.lead_id
+        if directive.manoeuvre == "overtake" and not scene.borrowing and scene.lead is not None:
+            lead_id = scene.lead.id
+        ids = frozenset({directive.id}) if pursuit.fulfilled else pursuit.directive_ids | {directive.id}
+        self._pursuit = replace(
+            pursuit,
+            directive=directive,
+            directive_ids=ids,
+            lead_id=lead_id,
+            from_lane=max(pursuit.from_lane, scene.home_lane),
+        )
+        if not directive.say or pursuit.fulfilled:
+            return [directive]
+        reply = self._reply(pursuit.command, "issued", now_ns, directive_id=directive.id, say=directive.say)
+        return [directive, reply]
+
+    def _renew_in_new_world(self, pursuit: Pursuit, scene: Scene, now_ns: int) -> list[Effect]:
+        draft = directive_of(pursuit.slots, scene)
+        if isinstance(draft, Refusal):
+            return self._expire(pursuit, f"the world was reset: {draft.why}", now_ns)
+        fresh = replace(
+            pursuit,
+            began_ns=now_ns,
+            scene=scene,
+            lead_id=scene.lead.id if scene.lead else None,
+            from_lane=scene.home_lane,
+            returning=False,
+            news="",
+            min_ttc_s=INF,
+        )
+        return self._issue(fresh, structs.replace(draft, say=""), scene, "the world was reset", now_ns)
+
+    def _expire(self, pursuit: Pursuit, why: str, now_ns: int) -> list[Effect]:
+        self._pursuit = None
+        if self._agenda is not None and self._agenda.command.id == pursuit.command.id:
+            self._agenda = None
+        if pursuit.fulfilled:
+            return []
+        say = sentence("expired", pursuit.slots.language)
+        return [
+            self._reply(pursuit.command, "expired", now_ns, say=say, why=why, directive_id=pursuit.directive.id),
+            pursuit.remembered("expired", now_ns),
+        ]

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from msgspec import structs
 
-from schemas.runtime.clock import NS
 from schemas.wire.messages import Command, Directive, Event, EventKind, Reply, ReplyOutcome
 from schemas.wire.program import Trigger
 from slow_node.agenda import Agenda, told
-from slow_node.effects import Remember
 from slow_node.planning.directive import issued
 from slow_node.planning.replies import sentence
 from slow_node.planning.scene import Scene
-from slow_node.pursuit import Pursuit
 from slow_node.understanding.slots import Slots
 
 TEXT_CHARS = 200
@@ -48,12 +45,6 @@ class Voice:
         return self._reply(
             command, "fulfilled", now_ns, directive_id=directive_id, say=sentence("done", slots.language)
         )
-
-    @staticmethod
-    def _remember(pursuit: Pursuit, outcome: str, now_ns: int) -> Remember:
-        came = f"{outcome}, held up by {pursuit.delayed_by}" if pursuit.delayed_by else outcome
-        took_s = (now_ns - pursuit.began_ns) / NS
-        return Remember(pursuit.command.text, pursuit.scene, pursuit.slots, came, took_s, pursuit.min_ttc_s)
 
     def _directive(self, command: Command, draft: Directive, scene: Scene, reasoning: str, now_ns: int) -> Directive:
         self._last_id = max(self._last_id + 1, now_ns // 1000)
