@@ -1,4 +1,4 @@
-"""One command that is being pursued, until its end: its directive, and what its road asks for. Pure, as `deliberation`."""
+"""One command that is pursued to its end: its directive, and what its road asks for. Pure, as `deliberation` is."""
 
 from __future__ import annotations
 
