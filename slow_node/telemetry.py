@@ -104,7 +104,7 @@ class Telemetry:
         )
         for call in calls[:-1]:
             span.add_event("retry", {"error.message": call.error}, timestamp=_ns(call.began_s + call.ms / 1000.0))
-        if last.answer is None:
+        if last.error or last.answer is None:
             status = _STATUS.search(last.error)
             span.set_attribute("error.type", status.group(1) if status else "_OTHER")
             span.set_status(Status(StatusCode.ERROR, last.error))
@@ -163,7 +163,7 @@ def _asked(calls: list[Call]) -> Iterator[list[Call]]:
     group: list[Call] = []
     for call in calls:
         group.append(call)
-        if call.answer is not None:
+        if not call.error:
             yield group
             group = []
     if group:

@@ -105,7 +105,7 @@ def _tries(trace: Trace) -> Iterator[Try]:
             ms=round(call.ms, 2),
             asked=call.format,
             failed=call.error,
-            unusable=next(parses, "") if answer is not None else "",
+            unusable="" if call.error else next(parses, ""),
             thinking=answer.thinking if answer else "",
             finish=answer.finish if answer else "",
             prompt_tokens=answer.prompt_tokens if answer else 0,

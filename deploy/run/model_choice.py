@@ -16,7 +16,6 @@ from slow_node.llm.answer import told
 from slow_node.llm.embedded import own_weights
 from slow_node.llm.endpoint import OPENAI_URL, checked_key, endpoint_url, ollama_url
 from slow_node.llm.errors import ModelError
-from slow_node.llm.transport import Transport
 
 KEY = "OPENAI_API_KEY"
 VARIABLES = (KEY, "OPENAI_BASE_URL", "OPENAI_MODEL", "OLLAMA_HOST")
@@ -74,6 +73,8 @@ def _only_model(base_url: str, key: str) -> str:
 
 async def _models(base_url: str, key: str) -> list[str]:
     """What the endpoint says it serves, without what only embeds."""
+    from slow_node.llm.transport import Transport  # httpx would be in every supervisor
+
     transport = Transport(base_url, key)
     try:
         async with asyncio.timeout(LIST_S):

@@ -12,7 +12,7 @@ from schemas.wire.text import plain
 from slow_node.llm.errors import ModelAnswerError, http_error
 
 MAX_ANSWER_CHARS = 20_000
-"""Of the text, and of the thoughts."""
+"""Of the text, and of the thoughts; of what is longer, the end, where the answer is."""
 SENTENCE_CHARS = 200
 """Of a server's own words in an error."""
 _MARKS = r"think(?:ing)?|thoughts?|reason(?:ing)?|reflection"
@@ -51,15 +51,18 @@ class Answer:
     id: str = ""
 
 
-def read_answer(content: bytes) -> Answer:
-    """The answer in an HTTP body. Raises `ModelError` for what is none, for a model that declines, and for one whose
-    tokens were used up by its thoughts."""
+def read_answer(content: bytes, secret: str = "") -> Answer:
+    """The answer in an HTTP body. secret: never repeated in an error.
+
+    Raises `ModelError` for what is none, for a model that declines, and for one whose tokens were used up by its
+    thoughts: the latter two with the answer, which has cost something.
+    """
     try:
         body = json.loads(content)
     except (ValueError, RecursionError):
         raise ModelAnswerError("the model's server sent no JSON, or a part of it", again=True) from None
     if isinstance(body, dict) and body.get("error"):  # some proxies answer HTTP 200 and tell of the failure inside
-        sentence, code = told(content)
+        sentence, code = told(content, secret)
         raise http_error(_status(body["error"]), sentence, code)
     try:
         choice = body["choices"][0]
@@ -82,24 +85,27 @@ def read_answer(content: bytes) -> Answer:
         model=plain(_text(body.get("model")), 120),
         id=plain(_text(body.get("id")), 120),
     )
-    _check(answer, message)
+    _check(answer, message, secret)
     return answer
 
 
-def _check(answer: Answer, message: Mapping[str, Any]) -> None:
+def _check(answer: Answer, message: Mapping[str, Any], secret: str) -> None:
     refusal = _text(message.get("refusal"))
     if refusal or (answer.finish == "content_filter" and not answer.text):
-        said = plain(refusal, SENTENCE_CHARS)
-        raise ModelAnswerError(f"the model declined to answer{f': {said}' if said else ''}")
+        said = _safe(refusal, secret)
+        raise ModelAnswerError(f"the model declined to answer{f': {said}' if said else ''}", answer=answer)
     if not answer.text and answer.finish == "length":
-        raise ModelAnswerError("the model used up its tokens before it answered: give it more with --max-tokens")
+        raise ModelAnswerError(
+            "the model used up its tokens before it answered: give it more with --max-tokens", answer=answer
+        )
     if not answer.text and answer.thinking:
-        raise ModelAnswerError("the model thought and answered nothing", again=True)
+        raise ModelAnswerError("the model thought and answered nothing", again=True, answer=answer)
 
 
 def split_thoughts(content: str) -> tuple[str, str]:
     """(thoughts, answer) of a model that writes both into one text. Thoughts without an end leave no answer."""
-    stripped = content.strip()
+    # The patterns take the square of the length where marks open and never close.
+    stripped = content[-MAX_ANSWER_CHARS:].strip()
     if _is_object(stripped):  # whatever its strings say
         return "", stripped
     thoughts: list[str] = []

@@ -24,8 +24,11 @@ def endpoint_url(text: str) -> str:
     text = text.strip()
     if "://" not in text:
         text = f"{'http' if _near(_host(f'//{text}')) else 'https'}://{text}"
-    parts = urlsplit(text)
     host = _host(text)
+    try:
+        parts = urlsplit(text)
+    except ValueError:  # broken brackets
+        raise ValueError("the base URL must look like http://127.0.0.1:8000/v1") from None
     if parts.scheme not in ("http", "https") or not host or any(c.isspace() for c in text):
         raise ValueError("the base URL must look like http://127.0.0.1:8000/v1")
     if "@" in parts.netloc:
@@ -51,7 +54,12 @@ def ollama_url(variable: str) -> str:
     """The base URL for a value of OLLAMA_HOST, which may be an address to listen on. Raises ValueError."""
     variable = variable.strip().strip("\"'").rstrip("/")
     bare = "://" not in variable
-    parts = urlsplit(f"http://{variable}" if bare else variable)
+    if bare and _is_ipv6(variable):  # without brackets, as a shell user writes it
+        variable = f"[{variable}]"
+    try:
+        parts = urlsplit(f"http://{variable}" if bare else variable)
+    except ValueError:
+        raise ValueError(f"OLLAMA_HOST={variable}: it must look like 127.0.0.1:11434 or [::1]:11434") from None
     try:
         port = parts.port or (OLLAMA_PORT if bare else {"https": 443}.get(parts.scheme, 80))
     except ValueError:
@@ -106,6 +114,13 @@ def _host(url: str) -> str:
         return urlsplit(url).hostname or ""
     except ValueError:
         return ""
+
+
+def _is_ipv6(text: str) -> bool:
+    try:
+        return ipaddress.ip_address(text).version == 6
+    except ValueError:
+        return False
 
 
 def _near(host: str) -> bool:

@@ -45,8 +45,9 @@ class Call:
     format: str
     """The answer format that was asked for: of `FORMATS`."""
     answer: Answer | None = None
+    """What came, of use or not."""
     error: str = ""
-    """Why there is no answer."""
+    """Why there is none that is of use."""
 
 
 class ChatModel:
@@ -66,15 +67,8 @@ class ChatModel:
         self.calls = 0
         self.prompt_tokens = 0
         self.answer_tokens = 0
-        self._told_usd: float | None = None
-
-    @property
-    def cost_usd(self) -> float | None:
-        """What the calls so far cost: as the server told, else by its count of tokens; None: nobody knows."""
-        if self._told_usd is not None or self.price_usd is None:
-            return self._told_usd
-        prompt, answer = self.price_usd
-        return prompt * self.prompt_tokens + answer * self.answer_tokens
+        self.cost_usd: float | None = None if self.price_usd is None else 0.0
+        """What the calls so far cost: each as the server told, else by its count of tokens; None: nobody knows."""
 
     async def close(self) -> None:
         await self._transport.close()
@@ -163,18 +157,21 @@ class ChatModel:
                 error = f"HTTP {response.status}{f': {sentence}' if sentence else ''}"
                 return change
             answer = self._read(response, sentence, code)
-            self._count(answer)
             error = ""
             return answer
         except ModelError as failure:
             error = str(failure)
+            if isinstance(failure, ModelAnswerError):
+                answer = failure.answer
             raise
         finally:
+            if answer is not None:
+                self._count(answer)
             calls.append(Call(began_s, 1000.0 * (time.monotonic() - began), FORMATS[used.format], answer, error))
 
     def _read(self, response: Response, sentence: str, code: str) -> Answer:
         if response.status < 300:
-            return read_answer(response.content)
+            return read_answer(response.content, self._key)
         if response.status < 400:
             sentence = f"it has moved to {plain(response.location, 160)}: set that base URL"
         raise http_error(response.status, sentence, code, response.retry_after)
@@ -182,5 +179,8 @@ class ChatModel:
     def _count(self, answer: Answer) -> None:
         self.prompt_tokens += answer.prompt_tokens
         self.answer_tokens += answer.answer_tokens
-        if answer.cost_usd is not None:
-            self._told_usd = (self._told_usd or 0.0) + answer.cost_usd
+        cost = answer.cost_usd
+        if cost is None and self.price_usd is not None:
+            cost = self.price_usd[0] * answer.prompt_tokens + self.price_usd[1] * answer.answer_tokens
+        if cost is not None:
+            self.cost_usd = (self.cost_usd or 0.0) + cost

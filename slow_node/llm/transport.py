@@ -73,6 +73,9 @@ class Transport:
     def _new_client(self) -> httpx.AsyncClient:
         try:
             key = checked_key(self._key, "the key")
+        except ValueError as error:
+            raise ModelRefusedError(str(error)) from None
+        try:
             headers = {"accept-encoding": "identity", "user-agent": "fastslow"}
             if key:
                 headers["authorization"] = f"Bearer {key}"
@@ -81,9 +84,8 @@ class Transport:
             # trust_env off: a proxy variable must not carry a loopback call out of the machine.
             return httpx.AsyncClient(headers=headers, timeout=None, trust_env=not is_loopback(self._base_url))
         except (ImportError, ValueError, OSError, httpx.InvalidURL) as error:
-            ours = isinstance(error, ValueError) and str(error).startswith("the key")
             raise ModelRefusedError(
-                str(error) if ours else f"the network's settings cannot be used ({_SETTINGS}): {plain(str(error), 120)}"
+                f"the network's settings cannot be used ({_SETTINGS}): {plain(str(error), 120)}"
             ) from None
 
 

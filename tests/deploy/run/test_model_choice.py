@@ -37,6 +37,12 @@ CHOICES: dict[str, tuple[dict[str, str], dict[str, str], str, str]] = {
     "a URL without a key": ({"OPENAI_BASE_URL": HERE, "OPENAI_MODEL": "m"}, {}, HERE, "m"),
     "an option over the variable": ({"OPENAI_BASE_URL": "http://x/v1"}, {"base_url": HERE, "name": "o"}, HERE, "o"),
     "Ollama": ({"OLLAMA_HOST": "0.0.0.0", "OPENAI_MODEL": "m"}, {}, "http://127.0.0.1:11434/v1", "m"),
+    "Ollama's address without brackets": (
+        {"OLLAMA_HOST": "::1", "OPENAI_MODEL": "m"},
+        {},
+        "http://[::1]:11434/v1",
+        "m",
+    ),
     "a key before Ollama": (
         {"OLLAMA_HOST": "::1", "OPENAI_API_KEY": "k"},
         {},

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import pytest
 
-from slow_node.llm.answer import json_object
+from slow_node.llm.answer import MAX_ANSWER_CHARS, json_object, split_thoughts
 from slow_node.llm.errors import ModelError
 from slow_node.llm.model import ChatModel
 from slow_node.llm.transport import MAX_BODY_BYTES
@@ -98,7 +98,7 @@ def test_a_key_that_no_header_can_carry_is_an_error_that_does_not_quote_it() -> 
 
 
 def test_a_fault_of_ours_is_an_error_that_somebody_can_stand_in_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slow_node.llm.model.read_answer", lambda _: [][0])
+    monkeypatch.setattr("slow_node.llm.model.read_answer", lambda *_: [][0])
     with FaultyServer(answer()) as server:
         assert said(server.url) == "asking the model broke: IndexError: list index out of range"
 
@@ -133,3 +133,9 @@ def test_a_text_without_one_clear_object_is_refused_with_the_reason(text: str, w
 )
 def test_the_one_object_in_a_text_is_found(text: str) -> None:
     assert json_object(text)["speed"] == "slower"
+
+
+@pytest.mark.parametrize("mark", ["<think>", "[THINK]", "<|channel>thought", "</think>"])
+def test_of_thoughts_that_never_close_only_the_end_is_read(mark: str) -> None:
+    thoughts, text = split_thoughts(mark * (900_000 // len(mark)))
+    assert len(thoughts) + len(text) <= MAX_ANSWER_CHARS

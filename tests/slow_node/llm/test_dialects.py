@@ -249,9 +249,19 @@ def test_a_quota_that_is_used_up_is_not_asked_again() -> None:
         assert len(server.bodies) == 1
 
 
-def test_a_key_that_a_server_quotes_is_not_passed_on() -> None:
-    said = "Incorrect API key provided: secret-of-mine (sk-proj-abcd****wxyz)"
-    with FaultyServer(replied(401, {"error": {"message": said}})) as server:
+QUOTED = "Incorrect API key provided: secret-of-mine (sk-proj-abcd****wxyz)"
+
+
+@pytest.mark.parametrize(
+    "reply",
+    [
+        replied(401, {"error": {"message": QUOTED}}),
+        replied(200, {"error": {"message": QUOTED, "code": 401}}),
+        chat({"content": "", "refusal": QUOTED}),
+    ],
+)
+def test_a_key_that_a_server_quotes_is_not_passed_on(reply: Reply) -> None:
+    with FaultyServer(reply) as server:
         error = ask(server, key="secret-of-mine")[0][0]
     assert "Incorrect API key provided" in error
     assert "secret-of-mine" not in error
@@ -299,6 +309,7 @@ def test_a_base_url_is_completed_as_it_was_meant(written: str, url: str) -> None
         ("ftp://127.0.0.1", "look like"),
         ("", "look like"),
         ("http://", "look like"),
+        ("http://[::1", "look like"),
         ("https://me:secret@models.example/v1", "OPENAI_API_KEY"),
         ("https://models.example/v1?key=secret", "OPENAI_API_KEY"),
     ],

@@ -11,7 +11,7 @@ import pytest
 from slow_node.llm.breaker import Breaker
 from slow_node.llm.endpoint import is_loopback
 from slow_node.llm.errors import ModelError
-from slow_node.llm.model import ChatModel
+from slow_node.llm.model import Call, ChatModel
 from slow_node.understanding.slots import answer_schema
 from tests.faulty_server import SLOWER, FaultyServer, answer
 
@@ -26,13 +26,14 @@ def ask(
     at_once: bool = False,
     breaker: Breaker | None = None,
     schema: dict[str, Any] | None = None,
+    calls: list[Call] | None = None,
 ) -> tuple[list[str], ChatModel]:
     """What `times` calls gave: the answer, or the error's class and text."""
     model = ChatModel(url, "gpt-4o-mini", "a-key", breaker=breaker)
 
     async def one() -> str:
         try:
-            return await model.complete(CHAT, schema or {"type": "object"}, budget_s)
+            return await model.complete(CHAT, schema or {"type": "object"}, budget_s, calls)
         except ModelError as error:
             return f"{type(error).__name__}: {error}"
 
@@ -195,6 +196,15 @@ def test_tokens_and_their_price_are_counted() -> None:
         _, model = ask(server.url, times=2)
         assert (model.prompt_tokens, model.answer_tokens) == (14, 6)
         assert model.cost_usd == pytest.approx(14 * 0.15e-6 + 6 * 0.60e-6)
+
+
+def test_an_answer_of_no_use_costs_its_tokens_and_keeps_its_thoughts() -> None:
+    calls: list[Call] = []
+    with FaultyServer(answer("<think>draft")) as server:
+        _, model = ask(server.url, calls=calls)
+    assert [call.answer.thinking for call in calls if call.answer] == ["draft"] * 3
+    assert (model.prompt_tokens, model.answer_tokens) == (21, 9)
+    assert model.cost_usd == pytest.approx(21 * 0.15e-6 + 9 * 0.60e-6)
 
 
 def test_the_price_of_a_model_nobody_listed_is_unknown_unless_it_runs_here() -> None:
