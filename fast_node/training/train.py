@@ -26,13 +26,10 @@ As the paper has them: two heads, width 128, gamma 0.99, learning rate 5e-4, 1e5
 
 from __future__ import annotations
 
-import contextlib
-import csv
-import importlib.util
 import os
 import pickle
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -51,6 +48,7 @@ from fast_node.training.learner import (
     masked_distribution,
     update,
 )
+from fast_node.training.log import logged
 from fast_node.training.network import ActorCritic
 from fast_node.training.rollout import Mixed
 from schemas.driving import reward as rewards
@@ -94,142 +92,183 @@ def train(
     one begins, instead of a random one. `watch` is called with the decisions made so far and the policy of that moment,
     before the first and after each. Raises `ConfigError` for a state that is not this run's, or not of this code.
     """
-    torch.manual_seed(seed)
-    torch.set_num_threads(1)
-    generator = torch.Generator().manual_seed(seed)
-    config = config or LearnerConfig()
-    net = ActorCritic(WIDTH, HEADS, LAYERS)
-    optimizer = torch.optim.Adam(net.parameters(), lr=config.lr, eps=1e-5, fused=True)
-    run = {
-        "seed": seed,
-        **conditions(scenes),
-        "learner": asdict(config),
-        "rollout": ROLLOUT,
-        "lr_schedule": {"shape": "linear", "end": LR_END},
-        **sidecar_of(scenes.parts[0].task.preset),
-    }
-    done, resumed_at = 0, list[int]()
+    run = _Run(scenes, out, seed, config or LearnerConfig())
     if start is not None:
-        for name in ("layout_hash", "mask"):
-            if (found := start["run"].get(name)) != run[name]:
-                raise ConfigError(f"the run to start from has {name} {found!r}, this code {run[name]!r}: train it anew")
-        net.load_state_dict(start["net"])
-        run["start"] = {"steps": start["steps"], **start["run"]}
+        run.begin_with(start)
     if resume:
-        saved = saved_state(out, resumable=True)
+        run.go_on(steps)
+    figures: dict[str, float] = {}
+    started, before = time.perf_counter(), run.done
+    watch(run.done, run.logits)
+    with logged(out, run.done) as log:
+        while run.done < steps:
+            run.slow_down(steps)
+            figures = run.update(run.roll_out(watch))
+            figures["SPS"] = (run.done - before) / (time.perf_counter() - started)
+            log(run.done, figures)
+            progress(run.done, figures)
+            if run.done >= steps or run.done // (ROLLOUT * len(run.x)) % SAVE_EVERY == 0:
+                run.save()
+    run.export(figures)
+    return figures
+
+
+class _Run:
+    """One run of the learner: its network, how far it has got, and what stands in its sidecar."""
+
+    def __init__(self, scenes: Mixed, out: Path, seed: int, config: LearnerConfig) -> None:
+        torch.manual_seed(seed)
+        torch.set_num_threads(1)
+        self._scenes, self._out, self._config = scenes, out, config
+        self._generator = torch.Generator().manual_seed(seed)
+        self.net = ActorCritic(WIDTH, HEADS, LAYERS)
+        self._optimizer = torch.optim.Adam(self.net.parameters(), lr=config.lr, eps=1e-5, fused=True)
+        self._facts = {
+            "seed": seed,
+            **conditions(scenes),
+            "learner": asdict(config),
+            "rollout": ROLLOUT,
+            "lr_schedule": {"shape": "linear", "end": LR_END},
+            **sidecar_of(scenes.parts[0].task.preset),
+        }
+        self.done, self._resumed_at = 0, list[int]()
+        self._returns, self._crashes, self._lengths = list[float](), list[bool](), list[int]()
+        self.x, self._open = scenes.observe()
+
+    def begin_with(self, start: dict[str, Any]) -> None:
+        """Take the network of another run. Raises `ConfigError` where it is of another code."""
+        for name in ("layout_hash", "mask"):
+            if (found := start["run"].get(name)) != self._facts[name]:
+                raise ConfigError(
+                    f"the run to start from has {name} {found!r}, this code {self._facts[name]!r}: train it anew"
+                )
+        self.net.load_state_dict(start["net"])
+        self._facts["start"] = {"steps": start["steps"], **start["run"]}
+
+    def go_on(self, steps: int) -> None:
+        """Go on where this run was last saved. Raises `ConfigError` where that was another run, or is at its end."""
+        saved, out = saved_state(self._out, resumable=True), self._out
+        run = self._facts
         run |= {k: v for k, v in saved["run"].items() if k == "start"}
-        done, resumed_at = saved["steps"], [*saved["resumed_at"], saved["steps"]]
+        self.done, self._resumed_at = saved["steps"], [*saved["resumed_at"], saved["steps"]]
         if (was := saved["run"]) != run:
             differs = [f"{k} {was.get(k)!r}, not {run.get(k)!r}" for k in {**was, **run} if was.get(k) != run.get(k)]
             raise ConfigError(
                 f"{out.name} was trained with {'; '.join(differs)}: resume it with the same, or train anew"
             )
-        if done >= steps:
-            raise ConfigError(f"{out.name} has learnt from {done} decisions already: resume it with more --steps")
-        net.load_state_dict(saved["net"])
-        optimizer.load_state_dict(saved["optimizer"])
+        if self.done >= steps:
+            raise ConfigError(f"{out.name} has learnt from {self.done} decisions already: resume it with more --steps")
+        self.net.load_state_dict(saved["net"])
+        self._optimizer.load_state_dict(saved["optimizer"])
         torch.set_rng_state(saved["rng"])
-        generator.set_state(saved["generator"])
+        self._generator.set_state(saved["generator"])
 
-    def logits_of(x: Array) -> Array:
+    def logits(self, x: Array) -> Array:
+        """The policy of this moment."""
         with torch.no_grad():
-            return np.asarray(net(torch.from_numpy(x))[0].numpy())
+            return np.asarray(self.net(torch.from_numpy(x))[0].numpy())
 
-    figures: dict[str, float] = {}
-    episode_returns: list[float] = []
-    crashes: list[bool] = []
-    lengths: list[int] = []
-    started, before = time.perf_counter(), done
-    x, is_open = scenes.observe()
-    watch(done, logits_of)
-    with _log(out, done) as log:
-        while done < steps:
-            for group in optimizer.param_groups:
-                group["lr"] = config.lr * max(LR_END, 1.0 - done / steps)
-            keep: dict[str, list[np.ndarray]] = {
-                k: []
-                for k in ("x", "is_open", "action", "log_prob", "value", "last_value", "reward", "terminated", "ended")
-            }
-            for _ in range(ROLLOUT):  # act: a_t ~ pi(. | o_t) over the open actions (Eq. 13), and V (Eq. 14)
-                with torch.no_grad():
-                    logits, value = net(torch.from_numpy(x))
-                    dist = masked_distribution(logits, torch.from_numpy(is_open))
-                    action = dist.sample()
-                    log_prob = dist.log_prob(action)
-                reward, terminated, truncated = scenes.decide(action.numpy())
-                ended = terminated | truncated
-                next_x, next_open = scenes.observe()
-                last_value = np.zeros(len(x), np.float32)  # of the states that are left behind by a reset
-                if ended.any():
-                    last_value[ended] = _values(net, next_x[ended])
-                    episode_returns += scenes.returns[ended].tolist()
-                    crashes += terminated[ended].tolist()
-                    lengths += scenes.age[ended].tolist()
-                    scenes.reset(ended)
-                    next_x, next_open = scenes.observe()
-                for k, v in (
-                    ("x", x),
-                    ("is_open", is_open),
-                    ("action", action.numpy()),
-                    ("log_prob", log_prob.numpy()),
-                    ("value", value.numpy()),
-                    ("last_value", last_value),
-                    ("reward", reward),
-                    ("terminated", terminated),
-                    ("ended", ended),
-                ):
-                    keep[k].append(v)
-                x, is_open = next_x, next_open
-                done += len(x)
-                watch(done, logits_of)
-            # V(o_{t+1}) of the same episode, advantages (Eq. 15) and value targets, then the update (Eq. 16, 17)
-            b = {k: np.stack(v) for k, v in keep.items()}
-            next_value = following_values(b["value"], b["last_value"], b["ended"], _values(net, x))
-            advantage = advantages(
-                b["reward"], b["value"], next_value, b["terminated"], b["ended"], config.gamma**DECISION_S, config.lam
+    def slow_down(self, steps: int) -> None:
+        """The learning rate of this moment."""
+        for group in self._optimizer.param_groups:
+            group["lr"] = self._config.lr * max(LR_END, 1.0 - self.done / steps)
+
+    def roll_out(self, watch: Callable[[int, Logits], None]) -> dict[str, np.ndarray]:
+        """Act: a_t ~ pi(. | o_t) over the open actions (Eq. 13), and V (Eq. 14); (ROLLOUT, S, ...) of each."""
+        scenes, steps = self._scenes, list[dict[str, np.ndarray]]()
+        for _ in range(ROLLOUT):
+            x, is_open = self.x, self._open
+            with torch.no_grad():
+                logits, value = self.net(torch.from_numpy(x))
+                dist = masked_distribution(logits, torch.from_numpy(is_open))
+                action = dist.sample()
+                log_prob = dist.log_prob(action)
+            reward, terminated, truncated = scenes.decide(action.numpy())
+            ended = terminated | truncated
+            self.x, self._open = scenes.observe()
+            last_value = np.zeros(len(x), np.float32)  # of the states that are left behind by a reset
+            if ended.any():
+                last_value[ended] = _values(self.net, self.x[ended])
+                self._note(ended, terminated)
+                scenes.reset(ended)
+                self.x, self._open = scenes.observe()
+            steps.append(
+                {
+                    "x": x,
+                    "is_open": is_open,
+                    "action": action.numpy(),
+                    "log_prob": log_prob.numpy(),
+                    "value": value.numpy(),
+                    "last_value": last_value,
+                    "reward": reward,
+                    "terminated": terminated,
+                    "ended": ended,
+                }
             )
-            flat = {
-                k: torch.from_numpy(b[k].reshape(-1, *b[k].shape[2:])) for k in ("x", "is_open", "action", "log_prob")
-            }
-            used = int(np.flatnonzero(b["x"][..., 0].any((0, 1)))[-1]) + 1  # rows that are always absent cost time
-            flat["x"] = flat["x"][:, :used]
-            flat["advantage"] = torch.from_numpy(advantage.reshape(-1))
-            flat["value_target"] = torch.from_numpy((advantage + b["value"]).reshape(-1))
-            figures = update(net, optimizer, config, flat, generator)
-            figures["explained_variance"] = explained_variance(b["value"], advantage + b["value"])
-            figures["episodic_return"] = float(np.mean(episode_returns[-200:])) if episode_returns else float("nan")
-            figures["crash_rate"] = float(np.mean(crashes[-200:])) if crashes else float("nan")
-            figures["episodic_length"] = float(np.mean(lengths[-200:])) if lengths else float("nan")
-            figures["SPS"] = (done - before) / (time.perf_counter() - started)
-            figures["learning_rate"] = optimizer.param_groups[0]["lr"]
-            log(done, figures)
-            progress(done, figures)
-            if done >= steps or done // (ROLLOUT * len(x)) % SAVE_EVERY == 0:
-                _save(
-                    out,
-                    {
-                        "run": run,
-                        "steps": done,
-                        "resumed_at": resumed_at,
-                        "net": net.state_dict(),
-                        "optimizer": optimizer.state_dict(),
-                        "rng": torch.get_rng_state(),
-                        "generator": generator.get_state(),
-                    },
-                )
-    export(
-        net,
-        out,
-        {
-            "algorithm": "ours",
-            "steps": done,
-            **run,
-            "resumed_at": resumed_at,
-            "revision": revision(),
-            "metrics": {k: round(v, 4) for k, v in figures.items() if k not in ("SPS", "learning_rate")},
-        },
-    )
-    return figures
+            self.done += len(x)
+            watch(self.done, self.logits)
+        return {k: np.stack([step[k] for step in steps]) for k in steps[0]}
+
+    def _note(self, ended: np.ndarray, terminated: np.ndarray) -> None:
+        self._returns += self._scenes.returns[ended].tolist()
+        self._crashes += terminated[ended].tolist()
+        self._lengths += self._scenes.age[ended].tolist()
+
+    def update(self, b: dict[str, np.ndarray]) -> dict[str, float]:
+        """V(o_{t+1}) of the same episode, advantages (Eq. 15) and value targets, then the update (Eq. 16, 17)."""
+        config = self._config
+        next_value = following_values(b["value"], b["last_value"], b["ended"], _values(self.net, self.x))
+        advantage = advantages(
+            b["reward"], b["value"], next_value, b["terminated"], b["ended"], config.gamma**DECISION_S, config.lam
+        )
+        flat = {k: torch.from_numpy(b[k].reshape(-1, *b[k].shape[2:])) for k in ("x", "is_open", "action", "log_prob")}
+        used = int(np.flatnonzero(b["x"][..., 0].any((0, 1)))[-1]) + 1  # rows that are always absent cost time
+        flat["x"] = flat["x"][:, :used]
+        flat["advantage"] = torch.from_numpy(advantage.reshape(-1))
+        flat["value_target"] = torch.from_numpy((advantage + b["value"]).reshape(-1))
+        return {
+            **update(self.net, self._optimizer, config, flat, self._generator),
+            "explained_variance": explained_variance(b["value"], advantage + b["value"]),
+            "episodic_return": _mean(self._returns),
+            "crash_rate": _mean(self._crashes),
+            "episodic_length": _mean(self._lengths),
+            "learning_rate": self._optimizer.param_groups[0]["lr"],
+        }
+
+    def save(self) -> None:
+        """Keep all that a resumed run needs."""
+        path = self._out.with_suffix(".train.pt")
+        state = {
+            "run": self._facts,
+            "steps": self.done,
+            "resumed_at": self._resumed_at,
+            "net": self.net.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "rng": torch.get_rng_state(),
+            "generator": self._generator.get_state(),
+        }
+        torch.save(state, path.with_suffix(".new"))
+        os.replace(path.with_suffix(".new"), path)
+
+    def export(self, figures: dict[str, float]) -> None:
+        """Write the policy of this moment and its sidecar."""
+        export(
+            self.net,
+            self._out,
+            {
+                "algorithm": "ours",
+                "steps": self.done,
+                **self._facts,
+                "resumed_at": self._resumed_at,
+                "revision": revision(),
+                "metrics": {k: round(v, 4) for k, v in figures.items() if k not in ("SPS", "learning_rate")},
+            },
+        )
+
+
+def _mean(of: Sequence[float]) -> float:
+    """Of the last 200 episodes; nan before the first."""
+    return float(np.mean(of[-200:])) if of else float("nan")
 
 
 def _values(net: ActorCritic, x: Array) -> Array:
@@ -306,62 +345,3 @@ def saved_state(out: Path, *, resumable: bool = False) -> dict[str, Any]:
     if resumable and not set(RESUMED) <= set(state):
         raise ConfigError(f"{path.name} has a network and no run to resume: begin with it by --start {out}")
     return state
-
-
-def _save(out: Path, state: dict[str, Any]) -> None:
-    path = out.with_suffix(".train.pt")
-    torch.save(state, path.with_suffix(".new"))
-    os.replace(path.with_suffix(".new"), path)
-
-
-LOGGED = {
-    "charts/episodic_return": "episodic_return",
-    "charts/episodic_length": "episodic_length",
-    "charts/crash_rate": "crash_rate",
-    "charts/learning_rate": "learning_rate",
-    "charts/SPS": "SPS",
-    "losses/policy_loss": "policy_loss",
-    "losses/value_loss": "value_loss",
-    "losses/entropy": "entropy",
-    "losses/approx_kl": "approx_kl",
-    "losses/clipfrac": "clipfrac",
-    "losses/explained_variance": "explained_variance",
-    "losses/updates": "updates",
-}
-"""CleanRL's names of our figures, and two names of our own: charts/crash_rate and losses/updates.
-
-Return [1], length [decisions] and crash rate are means of the last 200 episodes.
-"""
-
-
-@contextlib.contextmanager
-def _log(out: Path, done: int) -> Iterator[Callable[[int, dict[str, float]], None]]:
-    """Writes the figures of every update to a CSV file and, where tensorboard is installed, for it as well.
-
-    What an interrupted run wrote after it was last saved, at `done` decisions, is dropped: it is done again.
-    """
-    out.parent.mkdir(parents=True, exist_ok=True)
-    path = out.with_suffix(".progress.csv")
-    kept = [line for line in path.read_text().splitlines()[1:] if int(line.split(",")[0]) <= done] if done else []
-    board = None
-    if importlib.util.find_spec("tensorboard"):
-        from torch.utils.tensorboard import SummaryWriter
-
-        board = SummaryWriter(str(out.with_suffix(".tensorboard")), purge_step=done)
-    with path.open("w", newline="") as file:
-        rows = csv.writer(file)
-        rows.writerow(["global_step", *LOGGED])
-        rows.writerows(line.split(",") for line in kept)
-
-        def log(step: int, figures: dict[str, float]) -> None:
-            rows.writerow([step, *(f"{figures[k]:.6g}" for k in LOGGED.values())])
-            file.flush()
-            if board is not None:
-                for name, k in LOGGED.items():
-                    board.add_scalar(name, figures[k], step)
-
-        try:
-            yield log
-        finally:
-            if board is not None:
-                board.close()
