@@ -63,10 +63,14 @@ def in_circles(sources: dict[str, str]) -> list[str]:
         imports = kept
 
 
-def main(folder: str = ".") -> None:
-    root = Path(folder)
+def sources_in(root: Path) -> dict[str, str]:
+    """What git knows there of Python files, tests apart, by path."""
     listed = subprocess.run(["git", "ls-files", "*.py"], cwd=root, capture_output=True, text=True, check=True).stdout
-    sources = {p: (root / p).read_text() for p in listed.split() if (root / p).is_file() and not p.startswith("tests/")}
+    return {p: (root / p).read_text() for p in listed.split() if (root / p).is_file() and not p.startswith("tests/")}
+
+
+def main(folder: str = ".") -> None:
+    sources = sources_in(Path(folder))
     sizes = {path: source.count("\n") for path, source in sources.items()}
     functions = sorted(((n, f"{p} {name}") for p, s in sources.items() for n, name in bodies(s)), reverse=True)
     long = sum(n > LONG_FILE for n in sizes.values())

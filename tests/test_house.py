@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
-from tests.house import BARE, bodies, duplicates, in_circles
+from tests.house import BARE, bodies, duplicates, in_circles, sources_in
 
 
 def test_modules_that_import_each_other_round_about_are_in_a_circle_even_by_lazy_imports() -> None:
@@ -45,3 +47,20 @@ def test_a_block_of_eight_lines_counts_once_however_often_it_is_there() -> None:
 )
 def test_a_column_is_bare_where_its_number_stands_for_its_name(code: str, bare: bool) -> None:
     assert bool(BARE.search(code)) == bare
+
+
+@pytest.fixture(scope="module")
+def ours() -> dict[str, str]:
+    return sources_in(Path(__file__).parents[1])
+
+
+def test_no_modules_of_ours_import_each_other_round_about(ours: dict[str, str]) -> None:
+    assert in_circles(ours) == []
+
+
+def test_no_column_of_ours_is_bare(ours: dict[str, str]) -> None:
+    assert [path for path, source in ours.items() if BARE.search(source)] == []
+
+
+def test_no_block_of_ours_is_there_twice(ours: dict[str, str]) -> None:
+    assert duplicates(ours) == 0

@@ -14,6 +14,8 @@ import tempfile
 import venv
 from pathlib import Path
 
+from deploy.run.model_choice import VARIABLES
+
 ROOT = Path(__file__).parents[1]
 NOT_SOURCE = (".*", "runs", "build", "*.egg-info", "__pycache__")
 TICKS = 60
@@ -22,7 +24,7 @@ TICKS = 60
 
 def run(*command: str | Path, folder: Path, **variables: str) -> str:
     """What a command prints on stdout. Ends the test where it fails."""
-    env = {k: v for k, v in os.environ.items() if k != "PYTHONPATH" and not k.startswith("OPENAI_")} | variables
+    env = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", *VARIABLES)} | variables
     done = subprocess.run(command, cwd=folder, env=env, stdout=subprocess.PIPE, text=True, timeout=600, check=False)
     if done.returncode:
         sys.exit(f"{' '.join(map(str, command))}: exit code {done.returncode}\n{done.stdout}")

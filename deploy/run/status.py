@@ -19,7 +19,6 @@ class Live:
         self._observation: Observation | None = None
         self._action: Action | None = None
         self._directive: Directive | None = None
-        self._metrics: dict[str, float] = {}
         self._sim: Status | None = None
 
     def observation(self, observation: Observation) -> None:
@@ -33,7 +32,7 @@ class Live:
 
     def status(self, status: Status) -> None:
         if status.node == "sim":
-            self._metrics, self._sim = status.metrics, status
+            self._sim = status
 
     def reply(self, reply: Reply) -> str:
         """The line for a reply."""
@@ -67,7 +66,7 @@ class Live:
         seen = self._observation
         if seen is None:
             return f"starting{f': waiting for {waiting_for}' if waiting_for else ''}"
-        metrics = self._metrics
+        metrics = self._sim.metrics if self._sim is not None else {}
         acted = metrics.get("refused", 0) + metrics.get("strays", 0)
         return " | ".join(
             (

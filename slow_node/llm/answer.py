@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from schemas.wire.text import plain
-from slow_node.llm.errors import ModelAnswerError, http_error
+from slow_node.llm.errors import ModelError, http_error
 
 MAX_ANSWER_CHARS = 20_000
 """Of the text, and of the thoughts; of what is longer, the end, where the answer is."""
@@ -49,6 +49,16 @@ class Answer:
     model: str = ""
     """What the server says has answered."""
     id: str = ""
+
+
+class ModelAnswerError(ModelError):
+    """The server is well (HTTP 2xx), but what it answered is of no use: no chat, or a refusal of the model's."""
+
+    def __init__(self, why: str, *, again: bool = False, answer: Answer | None = None) -> None:
+        super().__init__(why)
+        self.again = again
+        self.answer = answer
+        """What came all the same: its tokens are paid for, its thoughts are worth a look."""
 
 
 def read_answer(content: bytes, secret: str = "") -> Answer:

@@ -4,10 +4,6 @@ and never with the key in it."""
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from slow_node.llm.answer import Answer
 
 SETTLED = ("insufficient_quota", "billing_hard_limit_reached")
 """Codes of an overload (HTTP 429) that no waiting ends."""
@@ -47,16 +43,6 @@ class ModelUnreachableError(ModelError):
 
 class ModelRefusedError(ModelError):
     """The server will not do it: a wrong key, an unknown model; or what we were told cannot be asked at all."""
-
-
-class ModelAnswerError(ModelError):
-    """The server is well (HTTP 2xx), but what it answered is of no use: no chat, or a refusal of the model's."""
-
-    def __init__(self, why: str, *, again: bool = False, answer: Answer | None = None) -> None:
-        super().__init__(why)
-        self.again = again
-        self.answer = answer
-        """What came all the same: its tokens are paid for, its thoughts are worth a look."""
 
 
 def http_error(status: int, sentence: str = "", code: str = "", retry_after: str = "") -> ModelError:

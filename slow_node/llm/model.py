@@ -13,18 +13,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from schemas.wire.text import plain
-from slow_node.llm.answer import Answer, read_answer, told
+from slow_node.llm.answer import Answer, ModelAnswerError, read_answer, told
 from slow_node.llm.breaker import Breaker
 from slow_node.llm.dialect import FORMATS, TEXT, Change, Chat, Dialect, Learnt
 from slow_node.llm.endpoint import is_loopback, is_passed_on
-from slow_node.llm.errors import (
-    ModelAnswerError,
-    ModelError,
-    ModelRefusedError,
-    ModelTimeoutError,
-    ModelUnreachableError,
-    http_error,
-)
+from slow_node.llm.errors import ModelError, ModelRefusedError, ModelTimeoutError, ModelUnreachableError, http_error
 from slow_node.llm.transport import Response, Transport
 
 RETRIES = 2

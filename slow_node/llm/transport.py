@@ -11,8 +11,9 @@ from urllib.parse import urlsplit, urlunsplit
 import httpx
 
 from schemas.wire.text import plain
+from slow_node.llm.answer import ModelAnswerError
 from slow_node.llm.endpoint import checked_key, is_azure, is_loopback
-from slow_node.llm.errors import ModelAnswerError, ModelError, ModelRefusedError, ModelUnreachableError
+from slow_node.llm.errors import ModelError, ModelRefusedError, ModelUnreachableError
 
 MAX_BODY_BYTES = 1_000_000
 """An answer of ours has some thousands; a model that thinks, some ten thousands. Headers are bounded by httpx."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import itertools
 import threading
-import time
+from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 from fast_node.config import FastConfig
 from fast_node.mask import PRESETS
 from fast_node.node import FastNode
+from fast_node.policies import outsider
 from fast_node.policies.outsider import TRUSTED_AGAIN, WatchedPolicy
 from fast_node.policies.rule import RulePolicy
 from schemas.driving.features import Array
@@ -90,31 +92,46 @@ def test_no_directive_is_pending_for_more_than_a_minute() -> None:
     assert [e.kind for e in node.step(seen, for_ever, NOW_NS + 61 * NS)[1]] == ["expired"]
 
 
-def test_a_policy_that_was_slow_once_is_asked_directly_again_after_five_seconds_in_time() -> None:
+@pytest.fixture
+def takes(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Lets so many seconds pass on the clock that a policy is watched by."""
+    now_s = [0.0]
+    monkeypatch.setattr(outsider, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+
+    def pass_by(seconds: float) -> None:
+        now_s[0] += seconds
+
+    return pass_by
+
+
+def test_a_policy_that_was_slow_once_is_asked_directly_again_after_five_seconds_in_time(
+    takes: Callable[[float], None],
+) -> None:
     threads: list[str] = []
 
     class Hiccup:
         def logits(self, x: Array) -> Array:
             threads.append(threading.current_thread().name)
-            if len(threads) == 1:
-                time.sleep(0.4)
+            takes(0.0 if len(threads) > 1 else 11.0)
             return np.zeros(5, np.float32)
 
-    policy, x = WatchedPolicy(Hiccup(), 0.3), np.zeros((15, 19), np.float32)
+    policy, x = WatchedPolicy(Hiccup(), 10.0), np.zeros((15, 19), np.float32)
     for _ in range(TRUSTED_AGAIN + 2):
         policy.logits(x)
     assert threads[1:-1] == ["policy"] * TRUSTED_AGAIN
     assert threads[-1] == threads[0] != "policy"
 
 
-def test_a_policy_that_turns_slow_costs_one_tick_and_then_the_rule_answers_in_time() -> None:
+def test_a_policy_that_turns_slow_costs_one_tick_and_then_the_rule_answers_in_time(
+    takes: Callable[[float], None],
+) -> None:
     release, asked = threading.Event(), itertools.count()
 
     class Tiring:
         def logits(self, x: Array) -> Array:
             turn = next(asked)
             if turn == 1:
-                time.sleep(0.05)  # the fault itself
+                takes(0.05)
             elif turn > 1:
                 release.wait(10.0)
             return np.zeros(5, np.float32)

@@ -108,17 +108,17 @@ def test_a_node_that_is_killed_or_hangs_comes_back_and_the_car_hits_nobody(
 ) -> None:
     with driving(tmp_path) as drive:
         until(drive.applies_actions, "the fast node does not drive")
-        epoch, before = drive.newest.epoch, child_of(drive.process.pid, victim)
+        epoch, pid = drive.newest.epoch, child_of(drive.process.pid, victim)
         hit_s = time.monotonic()
-        os.kill(before, number)
-        until(lambda: child_of(drive.process.pid, victim) not in (0, before), f"{victim} did not come back")
+        os.kill(pid, number)
+        until(lambda: child_of(drive.process.pid, victim) not in (0, pid), f"{victim} did not come back")
         until(lambda: victim == "fast_node" or drive.newest.epoch > epoch, "no new world")
-        until(lambda: not drive.applies_actions() or victim == "sim_node", "it was not missed")
         until(drive.applies_actions, "it does not drive again")
         back_s, new_world = time.monotonic() - hit_s, drive.newest.epoch > epoch
         summary = drive.end()
     record_property("measured", f"drives again after {back_s:.1f} s, {summary['failsafes']} fail-safe ticks")
     assert (summary["collisions"], summary["restarts"]) == (0, 1)
+    assert summary["failsafes"] > 0 or victim == "sim_node"
     assert new_world == (victim == "sim_node")
 
 
@@ -127,7 +127,7 @@ def test_a_stranger_on_the_bus_neither_drives_the_car_nor_stops_it_and_is_told_o
 ) -> None:
     with driving(tmp_path) as drive:
         until(drive.applies_actions, "the fast node does not drive")
-        first, restarts = drive.newest, child_of(drive.process.pid, "fast_node")
+        first, pid = drive.newest, child_of(drive.process.pid, "fast_node")
         beats = drive.bus.subscribe(topics.STATUS)
         bad = Directive(
             epoch=first.epoch, stamp_ns=0, id=1, command_id=1, scene_tick=0, target_speed_mps=math.nan, ttl_s=math.inf
@@ -149,7 +149,7 @@ def test_a_stranger_on_the_bus_neither_drives_the_car_nor_stops_it_and_is_told_o
                 drive.bus.publish_bytes(topic, os.urandom(200))
             drive.bus.publish_bytes(topics.DIRECTIVE, encode(bad))
             drive.bus.publish_bytes(topics.OBSERVATION, b"\xff" * 150_000)
-        assert child_of(drive.process.pid, "fast_node") == restarts
+        assert child_of(drive.process.pid, "fast_node") == pid
         until(
             lambda: any(beat.node == "sim" and beat.metrics.get("strays", 0) > 60 for beat in beats.take()),
             "nobody tells of the strays",
@@ -169,9 +169,8 @@ def test_a_policy_that_turns_slow_is_replaced_in_time_and_the_car_counts_as_degr
 ) -> None:
     (tmp_path / "tiring.py").write_text(TIRING)
     with driving(tmp_path, "--policy", "tiring:load") as drive:
-        until(drive.applies_actions, "nothing drives")
-        first = drive.newest.tick
-        until(lambda: drive.newest.tick > first + 75, "the world stands still")
+        beats = drive.bus.subscribe(topics.STATUS)
+        until(lambda: any(beat.mode == "DEGRADED" for beat in beats.take()), "it never counts as degraded")
         summary = drive.end()
     degraded = [mode for mode in summary["modes"] if mode["mode"] == "DEGRADED"]
     unanswered = summary["ticks"] - summary["answered"]
@@ -185,8 +184,7 @@ def test_when_the_supervisor_is_killed_nothing_is_left(tmp_path: Path, record_pr
     with driving(tmp_path) as drive:
         children = psutil.Process(drive.process.pid).children(recursive=True)
         drive.process.kill()
-        deadline_s = time.monotonic() + 2.0
-        while (left := [c for c in children if alive(c)]) and time.monotonic() < deadline_s:
-            time.sleep(0.01)
-        record_property("measured", f"{len(left)} of {len(children)} processes left after 2 s")
-        assert left == []
+        killed_s = time.monotonic()
+        until(lambda: not any(map(alive, children)), "some live on")
+        gone_s = time.monotonic() - killed_s
+    record_property("measured", f"all {len(children)} processes gone after {gone_s:.1f} s")

@@ -226,10 +226,8 @@ def test_every_built_in_policy_drives_the_node_and_never_into_anybody(spec: str)
     assert run.seconds == 10.0
 
 
-@pytest.mark.parametrize("spec", BUILT_IN)
+@pytest.mark.parametrize("spec", [name for name in BUILT_IN if name not in ("constant", "random")])
 def test_one_input_and_a_batch_of_it_get_the_same_preferences(spec: str) -> None:
-    if spec in ("constant", "random"):
-        pytest.skip("they do not look")
     x, policy = seen(), load_policy(spec)
     assert np.allclose(policy.logits(np.stack([x, x])), policy.logits(x), atol=1e-4)
 

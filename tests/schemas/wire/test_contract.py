@@ -301,6 +301,10 @@ def test_bytes_recorded_from_every_version_of_this_major_mean_what_they_meant(to
                 decode(topic, payload)
 
 
+def test_what_this_version_sends_is_recorded() -> None:
+    assert m.SCHEMA_VERSION in RECORDED, "add its messages that are new or have new fields"
+
+
 @CALM
 @given(place=st.integers(0, 3 * WIDTH - 1), bad=st.sampled_from([math.nan, math.inf, -math.inf]))
 def test_rows_that_are_not_finite_are_refused(place: int, bad: float) -> None:

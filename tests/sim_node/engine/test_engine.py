@@ -14,8 +14,6 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.objects import Obstacle
 
-pytest.importorskip("numba")
-
 from deploy.bench import sim
 from schemas.driving.road import ID, X
 from schemas.runtime.compiled import compiled
