@@ -4,7 +4,7 @@ BIN := .venv/bin
 TEXT ?= I'm in a hurry to get to work, I want to drive faster
 export TEXT
 
-.PHONY: setup setup-dev run say test parity difficulty study policy baselines film picture check mutants faults wheel-test clean
+.PHONY: setup setup-dev run say test parity difficulty study policy baselines film picture check mutants faults soak wheel-test clean
 .DEFAULT_GOAL := run
 
 # What driving, speaking and evaluating need: no torch.
@@ -90,6 +90,10 @@ wheel-test: setup
 # Every fault of tests/faults.toml, caused for real: reports/faults.md and .json.
 faults: setup-dev
 	$(BIN)/python -m tests.faults $(ARGS)
+
+# Hours of driving while it is killed, spoken to, looked at and lied to: reports/soak.md and .json. ARGS="--scale 0.1"
+soak: setup-dev
+	$(BIN)/python -m tests.soak $(ARGS)
 
 clean:
 	rm -rf .venv runs build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

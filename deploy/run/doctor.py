@@ -9,16 +9,15 @@ import json
 import math
 import os
 import platform
-import shutil
 import socket
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
+from deploy.run.launch import temporary_folder
 from deploy.run.model_choice import KEY, choose_model
 from deploy.run.processes import TCP_HOST, Model, ModelOptions, free_port, listener_of, router_endpoints
 from schemas.runtime.bus import BusConfig, BusError, open_bus
@@ -84,11 +83,11 @@ def _packages() -> Check:
 
 
 def _bus() -> Check:
-    folder = Path(tempfile.mkdtemp(prefix="fastslow-"))
     port = free_port()
     fix = "zenoh needs TCP on 127.0.0.1 and Unix sockets in the temporary folder (set TMPDIR to another one)"
     try:
         with (
+            temporary_folder() as folder,
             open_bus(BusConfig(mode="router", listen=router_endpoints(folder, port))) as router,
             open_bus(BusConfig(mode="client", connect=(f"tcp/{TCP_HOST}:{port}",))) as client,
         ):
@@ -100,10 +99,8 @@ def _bus() -> Check:
                 arrived = heard.take()
                 if arrived:
                     return Check("bus", "ok", f"a message goes round on {TCP_HOST}")
-    except BusError as error:
+    except (BusError, ConfigError) as error:
         return Check("bus", "fail", str(error), fix)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
     return Check("bus", "fail", "a message sent over loopback did not arrive within 2 s", fix)
 
 

@@ -10,19 +10,23 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 import urllib.request
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from http.client import HTTPException
 from pathlib import Path
 from typing import IO, Protocol
 
 from schemas.runtime.bus import ONE_POOL
+from schemas.runtime.errors import ConfigError
 
 GRACE_S = 3.0
 """From SIGTERM to SIGKILL."""
@@ -152,6 +156,47 @@ def _opened(log: Path, append: bool) -> IO[bytes]:
         return log.open("ab" if append else "wb")
     except OSError:  # the disk is full or read-only
         return open(os.devnull, "ab")
+
+
+SHORT = re.compile(r"[\w./+-]{1,60}", re.ASCII)
+"""A folder whose Unix sockets have a legal name: of less than 108 characters, and none that means more to zenoh."""
+_REMOVE = 'read -r _; rm -rf -- "$0" || { sleep 1; rm -rf -- "$0"; }'
+"""In a shell: once the other end of its stdin is gone, remove the folder, even if a dying process still wrote to it."""
+
+
+@contextmanager
+def temporary_folder(prefix: str = "fastslow-") -> Iterator[Path]:
+    """A folder for sockets that is gone with the block, or with this process, however it ends.
+
+    Raises `ConfigError` where there is none to be had.
+    """
+    folder = _new_folder(prefix)
+    watch = None
+    with suppress(OSError):  # without a shell, a killed run leaves its folder
+        watch = subprocess.Popen(
+            ("/bin/sh", "-c", _REMOVE, str(folder)),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        if watch is not None:
+            watch.kill()
+            watch.communicate()
+
+
+def _new_folder(prefix: str) -> Path:
+    """In the user's folder for temporary files, or in the machine's where that one is of no use for sockets."""
+    usual = os.environ.get("TMPDIR") or "/tmp"
+    tried = [folder for folder in dict.fromkeys((usual, "/tmp", "/var/tmp")) if SHORT.fullmatch(folder)]
+    for folder in tried:
+        with suppress(OSError):
+            return Path(tempfile.mkdtemp(prefix=prefix, dir=folder))
+    raise ConfigError("no folder for temporary files that can hold a socket: set TMPDIR to a short one of your own")
 
 
 class Start(Protocol):

@@ -14,7 +14,7 @@ _COUNTED = ("ticks", "answered", "missed", "collisions", "failsafes", "episodes"
 _HAPPENS = (EventKind.DELAYED, EventKind.OVERRIDDEN, EventKind.CARRIED_OUT, EventKind.FULFILLED, EventKind.EXPIRED)
 """To a directive; each event is counted."""
 KEPT = 500
-"""Events, modes and lane changes in the summary, the first ones."""
+"""Commands, events, modes and lane changes in the summary, the first ones: whoever floods the bus fills no memory."""
 
 
 @dataclass
@@ -93,13 +93,19 @@ class Summary:
 
     def status(self, status: Status) -> None:
         if status.node == "sim":
-            self._metrics[status.pid] = status.metrics
+            if len(self._metrics) < KEPT or status.pid in self._metrics:
+                self._metrics[status.pid] = status.metrics
             if status.mode and len(self._modes) < KEPT and (not self._modes or self._modes[-1]["mode"] != status.mode):
                 since = self._at(status.mode_since_ns) if status.mode_since_ns else 0.0
                 self._modes.append({"mode": status.mode, "why": status.mode_why, "since_s": since})
 
     def _of(self, command_id: int, text: str) -> Said:
-        return self._said.setdefault(command_id, Said(text))
+        found = self._said.get(command_id)
+        if found is None:
+            found = Said(text)
+            if len(self._said) < KEPT:
+                self._said[command_id] = found
+        return found
 
     def _at(self, stamp_ns: int) -> float:
         return round((stamp_ns - self._start_ns) / NS, 3)

@@ -6,14 +6,14 @@ import contextlib
 import json
 import os
 import secrets
-import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
+from deploy.run.launch import temporary_folder
+from deploy.run.logs import rotate
 from deploy.run.model_choice import choose_model
 from deploy.run.processes import (
     TCP_HOST,
@@ -52,7 +52,6 @@ def run_system(
 
     Data goes to stdout: the summary, with `as_json` alone, else the live lines as well.
     """
-    sockets = Path(tempfile.mkdtemp(prefix="fastslow-"))  # short: a Unix socket's path has less than 108 characters
     port = options.port or free_port()
     try:
         with contextlib.suppress(OSError):  # without it nothing is remembered, as the slow node says
@@ -61,7 +60,10 @@ def run_system(
         road_of(options.scenario)  # a missing file is told before there is a run
         if options.record:
             _try_to_write(options.record)
-        with open_bus(BusConfig(mode="router", listen=router_endpoints(sockets, port))) as bus:
+        with (
+            temporary_folder() as sockets,
+            open_bus(BusConfig(mode="router", listen=router_endpoints(sockets, port))) as bus,
+        ):
             folder, kept = _folder_of(sockets)
             rows = process_table(options, model, sockets, folder if kept else None) if table is None else table
             return _Run(options, port, bus, rows, policy, folder, model.where, kept).to_its_end()
@@ -85,8 +87,6 @@ def run_system(
             file=sys.stderr,
         )
         return CONFIG
-    finally:
-        shutil.rmtree(sockets, ignore_errors=True)
 
 
 def _try_to_write(path: Path) -> None:
@@ -180,6 +180,7 @@ class _Run:
                         code = OK
                     if time.monotonic() >= next_line_s:
                         next_line_s += 1.0
+                        rotate(self._folder)
                         self._print(self._live.line(time.monotonic_ns(), self._unready()))
                 ended_ns = time.monotonic_ns()
             finally:

@@ -6,7 +6,6 @@ import functools
 import json
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -20,15 +19,11 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from tests.browser import CHROMIUM, QUIET
 from tests.running import HURRY, ROOT, child_of
 from tests.waiting import until
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(170)]
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-QUIET = (
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync",
-)  # fmt: skip
 PATIENCE_MS = 60_000
 HUNG_TICKS = 120
 T = TypeVar("T")

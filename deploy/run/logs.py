@@ -1,0 +1,28 @@
+"""The logs in a run's folder: a line of JSON each, and never more than a run of any length can afford."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+LOG_BYTES = 5_000_000
+"""Of each log; as much of what came before is kept beside it, in `NAME.old.jsonl`."""
+OWN = "thoughts.jsonl"
+"""The slow node looks after this one itself."""
+
+
+def rotate(folder: Path, most_bytes: int = LOG_BYTES) -> None:
+    """Where a log has become too long, keep it as the old one, in the place of the last, and go on with an empty one.
+
+    The processes hold their logs open to append, so that a log is cut, not moved. What is written while it is copied
+    is lost. A full disk changes nothing.
+    """
+    for log in folder.glob("*.jsonl"):
+        if log.name == OWN or log.name.endswith(".old.jsonl"):
+            continue
+        with suppress(OSError):
+            if log.stat().st_size > most_bytes:
+                shutil.copyfile(log, log.with_suffix(".old.jsonl"))
+                os.truncate(log, 0)
