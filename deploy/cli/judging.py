@@ -221,9 +221,13 @@ def interpret(
     full: Full = False,
     score: Annotated[bool, typer.Option("--score", help="Interpret and score a set of our own instead.")] = False,
     which: Annotated[
-        str, typer.Option("--set", help="To score: dev, or blind, which is an exam: not for choosing by.")
+        str, typer.Option("--set", help="To score: dev, programs, dialogues, or blind, an exam: not for choosing by.")
     ] = "dev",
-    experiment: Annotated[str | None, typer.Option(help="memory: the model with 0, 2, 4 recalled examples.")] = None,
+    experiment: Annotated[
+        str | None,
+        typer.Option(help="memory: the model with 0, 2, 4 recalled examples; chatter: dev within unrelated talk."),
+    ] = None,
+    half: Annotated[str, typer.Option(help="Of the talk: measure, or develop, which is for choosing by.")] = "measure",
     per_kind: Annotated[
         int | None, typer.Option(min=1, help="Only so many of each kind of the set, the same ones every time.")
     ] = None,
@@ -243,37 +247,34 @@ def interpret(
 
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads: two threads are slower
     from deploy.lab.interpret import batch
+    from deploy.lab.interpret_chatter import chatter_experiment
+    from deploy.lab.interpret_exam import EXAMS, examine
     from deploy.lab.interpret_score import SETS, memory_experiment, score_set
     from deploy.lab.interpreter import Ask
     from deploy.run.processes import ModelOptions
+    from slow_node.evaluation.chatter import Half
 
     options = ModelOptions(name=model, base_url=base_url, budget_s=budget_s, max_tokens=max_tokens)
     if ask not in get_args(Ask):
         raise typer.BadParameter(f"{ask}: choose from {', '.join(get_args(Ask))}", param_hint="'--ask'")
+    told: dict[str, Any] = {"ask": ask, "parser": parser, "k": k, "threads": threads, "model": options}
     if experiment is not None:
-        if experiment != "memory":
-            raise typer.BadParameter(f"{experiment}: there is only memory", param_hint="'--experiment'")
-        raise typer.Exit(memory_experiment(as_json=as_json, per_kind=per_kind, threads=threads))
-    if which not in SETS:
-        raise typer.BadParameter(f"{which}: choose from {', '.join(SETS)}", param_hint="'--set'")
+        if experiment == "memory":
+            raise typer.Exit(memory_experiment(as_json=as_json, per_kind=per_kind, threads=threads))
+        if experiment != "chatter":
+            raise typer.BadParameter(f"{experiment}: choose from memory, chatter", param_hint="'--experiment'")
+        if half not in get_args(Half):
+            raise typer.BadParameter(f"{half}: choose from {', '.join(get_args(Half))}", param_hint="'--half'")
+        raise typer.Exit(chatter_experiment(cast(Half, half), as_json=as_json, per_kind=per_kind, **told))
+    if which not in (*SETS, *EXAMS):
+        raise typer.BadParameter(f"{which}: choose from {', '.join((*SETS, *EXAMS))}", param_hint="'--set'")
+    if score and which in EXAMS:
+        raise typer.Exit(examine(which, as_json=as_json, output=output, **told))
     if score:
-        raise typer.Exit(
-            score_set(
-                which,
-                as_json=as_json,
-                per_kind=per_kind,
-                output=output,
-                ask=ask,
-                parser=parser,
-                k=k,
-                threads=threads,
-                model=options,
-            )
-        )
+        raise typer.Exit(score_set(which, as_json=as_json, per_kind=per_kind, output=output, **told))
     if explain is not None:
         from deploy.lab.explain import explain as show
 
-        told = {"ask": ask, "parser": parser, "k": k, "threads": threads, "model": options}
         raise typer.Exit(show(explain, scene, as_json=as_json, full=full, **told))
     if source is None:
         raise typer.BadParameter('give a file or "-", or --explain or --score', param_hint="'--input'")

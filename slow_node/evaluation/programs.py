@@ -1,0 +1,116 @@
+"""How well commands are read into programs, and what follows in a dialogue: labelled by hand, compared step by step.
+
+A label of `programs.jsonl` is the outcome, the steps and the question; `also` has other readings that are as right. Of
+a step everything counts that says what is done, when and until when; whom it is about counts where the label has it. A
+label of `dialogues.jsonl` says of every turn what its directive changes, against the scene in which it was said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from schemas.wire.messages import Directive, Reply
+from slow_node.evaluation.score import wilson95
+from slow_node.planning.scene import Scene
+from slow_node.planning.steps import headway_now_s
+
+PROGRAMS_SET: Final = Path(__file__).with_name("programs.jsonl")
+DIALOGUES_SET: Final = PROGRAMS_SET.with_name("dialogues.jsonl")
+NEAR: Final = 0.03
+"""A value may be off by this share of the label."""
+SPEED_MPS, HEADWAY_S, CHANGED_S = 0.35, 0.15, 0.05
+"""How far a directive's number may lie from the label; and from where on a gap has changed."""
+
+Line = Mapping[str, Any]
+
+
+def right(label: Line, output: Line) -> bool:
+    """Whether an output line of `fastslow interpret` is what the label says, in one of its readings."""
+    if label["question"]:
+        return bool(output["question"] == label["question"])
+    if label["outcome"] != "directive":
+        return bool(output["outcome"] == label["outcome"])
+    if output["outcome"] != "directive":
+        return False
+    return any(_same_steps(steps, output["steps"]) for steps in (label["steps"], *label["also"]))
+
+
+def _same_steps(label: Sequence[Line], output: Sequence[Line]) -> bool:
+    return len(label) == len(output) and all(map(_same_step, label, output))
+
+
+def _same_step(label: Line, output: Line) -> bool:
+    if label["act"] == "lane" and label.get("side") in ("left", "right"):
+        label, output = {"count": 1, **label}, {"count": 1, **output}
+    plain = all(
+        label.get(key) == output.get(key)
+        for key in ("act", "side", "count", "unit", "mode", "polarity")
+        if key != "object"
+    )
+    about = "object" not in label or label["object"] == output.get("object")
+    return (
+        plain
+        and about
+        and _near(label.get("value"), output.get("value"))
+        and all(_same_trigger(label.get(key), output.get(key)) for key in ("when", "until"))
+    )
+
+
+def _same_trigger(label: Line | None, output: Line | None) -> bool:
+    if label is None or output is None:
+        return label is output
+    about = "object" not in label or label["object"] == output.get("object")
+    same = label["kind"] == output["kind"] and label.get("side") == output.get("side")
+    return same and about and _near(label.get("value"), output.get("value"))
+
+
+def _near(label: float | None, output: float | None) -> bool:
+    if label is None or output is None:
+        return label is output
+    return abs(label - output) <= NEAR * max(abs(label), 1e-9)
+
+
+def met(expected: Line, scene: Scene, directive: Directive | None, replies: Sequence[Reply]) -> bool:
+    """Whether a turn did what its label says, against the scene in which it was said."""
+    if "any" in expected:
+        return any(met(one, scene, directive, replies) for one in expected["any"])
+    ((what, value),) = expected.items()
+    if what == "question":
+        return directive is None and any(reply.why == f"a question: {value}" for reply in replies)
+    if what == "waits":
+        return directive is None and any(reply.waits_for for reply in replies)
+    if what == "outcome":
+        return directive is None and (value == "none" or any(reply.outcome == value for reply in replies))
+    if directive is None:
+        return False
+    match what:
+        case "speed":
+            return _moved(directive.target_speed_mps, scene.speed_mps, value, SPEED_MPS, SPEED_MPS)
+        case "gap":
+            return _moved(directive.headway_s, headway_now_s(scene), value, HEADWAY_S, CHANGED_S)
+        case "lane":
+            lane, here = directive.target_lane, scene.ego_lane
+            if value == "same":
+                return lane in (None, here)
+            return lane == (here + {"left": -1, "right": 1}[value] if isinstance(value, str) else value)
+        case "overtake":
+            return (directive.manoeuvre == "overtake") is value
+        case _:
+            return directive.manoeuvre == "cruise" and directive.target_lane is directive.target_speed_mps is None
+
+
+def _moved(target: float | None, now: float, value: float | str, near: float, least: float) -> bool:
+    if target is None:
+        return value == "same"
+    if value == "same":
+        return abs(target - now) <= near
+    if isinstance(value, str):
+        return (target - now) * (1 if value == "up" else -1) > least
+    return abs(target - value) <= near
+
+
+def share(hits: Sequence[bool]) -> dict[str, Any]:
+    """How many of how many, with a 95 % Wilson interval."""
+    return {"n": len(hits), "right": sum(hits), "right_ci95": wilson95(sum(hits), len(hits))}
