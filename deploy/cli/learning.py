@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from deploy.cli.options import EXITS, Json, readable_ends
+from deploy.cli.settings import read_config, settings
 
 commands = typer.Typer()
 
@@ -17,9 +18,12 @@ commands = typer.Typer()
     "  fastslow train --scenario highway --steps 20000 --seed 1 --out mine.safetensors\n\n"
     "  fastslow train --start mine.safetensors --learning-rate 1e-4 --scenario merge\n\n"
     "  fastslow train --algorithm taught --scenario merge --scenario exit --steps 48000\n\n"
-    "  fastslow train --algorithm ppo --bare --out runs/ppo-bare.safetensors\n\n" + EXITS
+    "  fastslow train --algorithm ppo --bare --out runs/ppo-bare.safetensors\n\n"
+    "  fastslow train --algorithm maskable-ppo --set n_steps=64 --set learning_rate=3e-4\n\n"
+    "  fastslow train --config mine.toml --set entropy=0.02 --track\n\n" + EXITS
 )
 def train(
+    context: typer.Context,
     out: Annotated[Path, typer.Option(help="Where the policy goes, with a JSON sidecar beside it.")] = Path(
         "runs/policy.safetensors"
     ),
@@ -52,12 +56,36 @@ def train(
         str,
         typer.Option(
             help="ours; taught, by a teacher that tries things out (--steps: situations in all); or a baseline for "
-            "comparison: ppo, dqn or a2c. --resume, --start, --learning-rate and --mask-preset are for ours alone."
+            "comparison: ppo, dqn, a2c or maskable-ppo. --resume, --start, --learning-rate and --mask-preset are for "
+            "ours alone."
         ),
     ] = "ours",
     bare: Annotated[bool, typer.Option("--bare", help="A baseline as published: no mask, no directive.")] = False,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.toml",
+            help="Options of this command by name, and a table [learner] of what --set sets; the command line wins.",
+            callback=read_config,
+            is_eager=True,
+        ),
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="A hyper-parameter of the learner, such as gamma, entropy, minibatch or scenes; may be repeated. "
+            "Another name is refused, with those that there are.",
+        ),
+    ] = None,
+    track: Annotated[
+        bool,
+        typer.Option("--track", help="Keep a W&B run beside the policy, offline unless WANDB_MODE says otherwise."),
+    ] = False,
 ) -> None:
     """Learn one policy for the given roads (some minutes on one core)."""
+    changes = settings(context, set_ or [])
     roads = scenario or ["highway", "merge", "two-way"]
     if algorithm in ("ours", "taught") and bare:
         raise typer.BadParameter("only a baseline: choose one by --algorithm", param_hint="'--bare'")
@@ -71,6 +99,10 @@ def train(
         raise typer.BadParameter("for algorithm ours alone", param_hint=f"'{given[0]}'")
     if resume and start is not None:
         raise typer.BadParameter("a resumed run has begun already: leave one out", param_hint="'--start'")
+    if learning_rate is not None and "lr" in changes:
+        raise typer.BadParameter("it is --learning-rate: give it once", param_hint="'--set lr'")
+    if algorithm == "taught" and (changes or track):
+        raise typer.BadParameter("for learners by reward alone", param_hint="'--set'" if changes else "'--track'")
     with readable_ends():
         from deploy.lab.teaching import teach_policy
         from deploy.lab.training import train_baseline, train_policy
@@ -78,9 +110,20 @@ def train(
         figures = (
             teach_policy(out, roads, steps, seed)
             if algorithm == "taught"
-            else train_policy(out, roads, steps, seed, lr=learning_rate, resume=resume, start=start, preset=mask_preset)
+            else train_policy(
+                out,
+                roads,
+                steps,
+                seed,
+                lr=learning_rate,
+                resume=resume,
+                start=start,
+                preset=mask_preset,
+                changes=changes,
+                track=track,
+            )
             if algorithm == "ours"
-            else train_baseline(algorithm, out, roads, steps, seed, bare=bare)
+            else train_baseline(algorithm, out, roads, steps, seed, bare=bare, changes=changes, track=track)
         )
     told = [f"{name} {figures[name]:.3g}" for name in ("episodic_return", "crash_rate", "loss") if name in figures]
     typer.echo(": ".join((str(out), *told)), err=True)
@@ -95,7 +138,8 @@ def study(
         Path, typer.Option(help="Where cells, study.json and study.png go; finished cells are kept.")
     ] = Path("runs/study"),
     algorithm: Annotated[
-        list[str] | None, typer.Option(help="ours, ppo, dqn or a2c; may be repeated.", show_default="all")
+        list[str] | None,
+        typer.Option(help="ours, ppo, dqn, a2c or maskable-ppo; may be repeated.", show_default="the first four"),
     ] = None,
     variant: Annotated[
         list[str] | None,

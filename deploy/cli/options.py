@@ -72,7 +72,7 @@ def readable_ends() -> Iterator[None]:
     except Stopped as stopped:
         raise typer.Exit(stopped.code) from None
     except ImportError as error:
-        extra = "view" if error.name in ("imageio_ffmpeg", "matplotlib") else "train"
+        extra = {"imageio_ffmpeg": "view", "matplotlib": "view", "wandb": "track"}.get(error.name or "", "train")
         typer.echo(f"fastslow: {error.name} is missing: pip install 'fastslow[{extra}]'", err=True)
         raise typer.Exit(CONFIG) from None
     except ConfigError as error:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
@@ -15,7 +17,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from deploy.lab.episodes import directed, overtake_on, task_of
 from fast_node.mask import PRESETS
-from fast_node.policies.mlp import BASELINES
+from fast_node.policies.mlp import LEARNERS
 from fast_node.training.rollout import Mixed, Scenes
 from sim_node.engine.batched import Batched
 from sim_node.observe import senses
@@ -23,7 +25,7 @@ from sim_node.scenarios import SCENARIOS, Scenario
 
 SCENES = 64
 """In all; shared among the scenarios."""
-BASELINE_SCENES = {"ppo": 64, "a2c": 16, "dqn": 16}
+BASELINE_SCENES = {"ppo": 64, "a2c": 16, "dqn": 16, "maskable-ppo": 64}
 """The same for each baseline."""
 
 
@@ -107,28 +109,57 @@ def mixed_scenes(
 
 
 def train_baseline(
-    algorithm: str, out: Path, scenarios: Sequence[str], steps: int, seed: int, *, bare: bool = False
+    algorithm: str,
+    out: Path,
+    scenarios: Sequence[str],
+    steps: int,
+    seed: int,
+    *,
+    bare: bool = False,
+    changes: Mapping[str, Any] | None = None,
+    track: bool = False,
 ) -> dict[str, float]:
-    """Train "ppo", "dqn" or "a2c" in the place of our policy; `bare`: without mask and directive, always in a hurry.
+    """Train one of `LEARNERS` in the place of our policy; `bare`: without mask and directive, always in a hurry.
 
-    Raises ImportError without extra `baselines`, ValueError for an unknown algorithm or scenario.
+    changes: of its settings, by their names in stable-baselines3, and "scenes". track: keep a W&B run, too. Raises
+    ImportError without extra `train`, ValueError for an unknown algorithm, scenario or setting.
     """
-    if algorithm not in BASELINES:
-        raise ValueError(f"{algorithm}: choose from ours, {', '.join(BASELINES)}")
-    from fast_node.training.baselines import learn
+    if algorithm not in LEARNERS:
+        raise ValueError(f"{algorithm}: choose from ours, taught, {', '.join(LEARNERS)}")
+    if bare and algorithm == "maskable-ppo":
+        raise ValueError("maskable-ppo learns by what the mask closes: leave --bare out, or take ppo")
+    from fast_node.training import baselines
+    from fast_node.training.log import OF_BASELINES, logged
 
-    scenes = mixed_scenes(scenarios, seed, scenes=BASELINE_SCENES[algorithm], hurried=bare, masked=not bare)
-    with _progress_bar() as bar:
+    scenes_n, changed = _split(changes, BASELINE_SCENES[algorithm], algorithm, baselines.known_settings(algorithm))
+    scenes = mixed_scenes(scenarios, seed, scenes=scenes_n, hurried=bare, masked=not bare)
+    facts = {"algorithm": algorithm, "scenarios": list(scenarios), "seed": seed, "steps": steps, **changed}
+    with _progress_bar() as bar, logged(out, 0, OF_BASELINES, facts if track else None) as log:
         task = bar.add_task(f"{algorithm} learning", total=steps)
-        return learn(
+        return baselines.learn(
             algorithm,
             scenes,
             out,
             variant="bare" if bare else "masked",
             steps=steps,
             seed=seed,
+            changes=changed,
             watch=lambda done, _: bar.update(task, completed=done),
+            log=log,
         )
+
+
+def _split(
+    changes: Mapping[str, Any] | None, scenes: int, algorithm: str, known: Sequence[str]
+) -> tuple[int, dict[str, Any]]:
+    """How many scenes there are, and the settings of the learner. Raises ValueError for an unknown name."""
+    changed = dict(changes or {})
+    if unknown := sorted(set(changed) - {"scenes", *known}):
+        raise ValueError(f"{algorithm} has no setting {unknown[0]!r}: choose from {', '.join(('scenes', *known))}")
+    scenes = changed.pop("scenes", scenes)
+    if not (isinstance(scenes, int) and 1 <= scenes <= 4096):
+        raise ValueError(f"scenes {scenes!r} is not a whole number within 1..4096")
+    return scenes, changed
 
 
 def _progress_bar() -> Progress:
@@ -146,21 +177,25 @@ def train_policy(
     resume: bool = False,
     start: Path | None = None,
     preset: str = "sim",
+    changes: Mapping[str, Any] | None = None,
+    track: bool = False,
 ) -> dict[str, float]:
     """Train one policy on these scenarios and export it, with a progress bar on stderr.
 
-    lr: the learning rate that falls to a tenth, by default the paper's. `resume` goes on where an interrupted run to
-    the same `out` was last saved, in new worlds; `start` begins with the network of another run. Raises ImportError
-    without extra `train`, ValueError for an unknown scenario or preset, `ConfigError` where there is nothing to go on
-    from.
+    lr: the learning rate that falls to a tenth, by default the paper's; changes: of `LearnerConfig`, and "scenes";
+    track: keep a W&B run, too. `resume` goes on where an interrupted run to the same `out` was last saved, in new
+    worlds; `start` begins with the network of another run. Raises ImportError without extra `train`, ValueError for an
+    unknown scenario, preset or setting, `ConfigError` where there is nothing to go on from.
     """
     from fast_node.training.learner import LearnerConfig
     from fast_node.training.train import saved_state, train
 
-    config = LearnerConfig() if lr is None else LearnerConfig(lr=lr)
+    names = [field.name for field in fields(LearnerConfig)]
+    scenes_n, changed = _split(changes, SCENES, "ours", names)
+    config = msgspec.convert({**({} if lr is None else {"lr": lr}), **changed}, LearnerConfig)
     begin = None if start is None else saved_state(start)
     after = saved_state(out, resumable=True)["steps"] if resume else 0
-    scenes = mixed_scenes(scenarios, seed, after=after, preset=preset)
+    scenes = mixed_scenes(scenarios, seed, scenes=scenes_n, after=after, preset=preset)
     with _progress_bar() as bar:
         task = bar.add_task("learning", total=steps, completed=after)
 
@@ -168,4 +203,14 @@ def train_policy(
             text = f"return {figures['episodic_return']:.2f} crashes {figures['crash_rate']:.1%}"
             bar.update(task, completed=done, description=text)
 
-        return train(scenes, out, steps=steps, seed=seed, progress=progress, config=config, resume=resume, start=begin)
+        return train(
+            scenes,
+            out,
+            steps=steps,
+            seed=seed,
+            progress=progress,
+            config=config,
+            resume=resume,
+            start=begin,
+            track=track,
+        )

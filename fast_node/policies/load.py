@@ -12,7 +12,7 @@ from fast_node.policies.ablated import BlindPolicy, DeafPolicy, untrained_of
 from fast_node.policies.attention import SHIPPED, load_attention
 from fast_node.policies.checkpoint import read_sidecar
 from fast_node.policies.fixed import constant_of, random_of
-from fast_node.policies.mlp import BASELINES, VARIANTS, load_mlp, shipped
+from fast_node.policies.mlp import BASELINES, LEARNERS, VARIANTS, load_mlp, shipped
 from fast_node.policies.outsider import load_outsider, prove
 from fast_node.policies.policy import NamedPolicy
 from fast_node.policies.rule import RulePolicy
@@ -47,7 +47,7 @@ def load_policy(spec: str = OURS) -> NamedPolicy:
 
 
 def _checkpoint(path: Path, _: str = "") -> NamedPolicy:
-    if read_sidecar(path).get("algorithm", "ours") in BASELINES:
+    if read_sidecar(path).get("algorithm", "ours") in LEARNERS:
         baseline = load_mlp(path)
         return NamedPolicy(path.name, baseline, sidecar=baseline.sidecar)
     ours = load_attention(path)

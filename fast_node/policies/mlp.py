@@ -18,6 +18,8 @@ from schemas.runtime.process import ConfigError
 
 Array = NDArray[np.float32]
 BASELINES = ("ppo", "dqn", "a2c")
+LEARNERS = (*BASELINES, "maskable-ppo")
+"""All that `fastslow train` knows; of the baselines there are checkpoints in the repository."""
 VARIANTS = ("bare", "masked")
 """As published, without mask and directive; or with both."""
 PARTS = ("mask-only", "wish-only")
@@ -68,7 +70,7 @@ def shipped(algorithm: str, variant: str) -> Path:
 def load_mlp(path: Path) -> MlpPolicy:
     """The policy in `path` with its `.json` sidecar. Raises `ConfigError` if missing, corrupt or made for others."""
     sidecar, weights = read_checkpoint(path)
-    if sidecar.get("algorithm") not in BASELINES:
+    if sidecar.get("algorithm") not in LEARNERS:
         raise ConfigError(f"{path.name} holds no baseline: train one with `fastslow train --algorithm`")
     mask = MASK_VERSION if masked(str(sidecar.get("variant"))) else None
     for name, want in (("layout_hash", LAYOUT_HASH), ("mask", mask)):

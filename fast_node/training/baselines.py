@@ -1,4 +1,5 @@
-"""PPO, A2C and DQN of stable-baselines3 on the very scenes that ours learns on (extra `baselines`).
+"""PPO, A2C and DQN of stable-baselines3 and MaskablePPO of sb3-contrib on the very scenes that ours learns on (extra
+`train`).
 
 Tuned fairly: scaled rewards, our learning rate and discount, two layers of 128, DQN with a gradient
 step per four transitions. The variants differ in their scenes and here:
@@ -7,11 +8,15 @@ step per four transitions. The variants differ in their scenes and here:
 * `masked`: behind our mask, with the wish in their observation. They learn which actions are closed from what becomes
   of them (CRUISE, where that is open); when they drive, the best open one is taken, as of ours.
 * `mask-only`, `wish-only`: with one of the two. Behind the mask alone, no action is closed for a wish.
+
+MaskablePPO, with PPO's settings, is told which actions are closed and never chooses them; so it has no `bare` variant.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import inspect
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +24,7 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
+from sb3_contrib import MaskablePPO
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
@@ -81,7 +87,14 @@ _ADAM: dict[str, dict[str, Any]] = {
     "dqn": {"optimizer_kwargs": {"fused": True}},
 }
 """The same Adam, computed faster; 1e-5 is PPO's own."""
+CONFIG["maskable-ppo"], TRIALS["maskable-ppo"] = CONFIG["ppo"], TRIALS["ppo"]
+CHOSEN["maskable-ppo"], _ADAM["maskable-ppo"] = CHOSEN["ppo"], _ADAM["ppo"]
+KINDS: dict[str, Any] = {"ppo": PPO, "a2c": A2C, "dqn": DQN, "maskable-ppo": MaskablePPO}
+OURS_TO_SAY = {"self", "policy", "env", "seed", "device", "verbose", "tensorboard_log", "policy_kwargs"}
+"""Arguments of stable-baselines3 that are no settings."""
 WIDTH = 128
+LOG_EVERY = 1024
+"""Decisions between two rows of figures."""
 
 
 class VecScenes(VecEnv):
@@ -124,6 +137,13 @@ class VecScenes(VecEnv):
             seen = self._see()
         return seen, earned, done, infos
 
+    def metrics(self) -> dict[str, float]:
+        """Means of the last 200 episodes; empty before the first."""
+        if not (last := self.episodes[-200:]):
+            return {}
+        returns, crashes = np.array(last).T
+        return {"episodic_return": float(returns.mean()), "crash_rate": float(crashes.mean())}
+
     def close(self) -> None:
         pass
 
@@ -134,7 +154,9 @@ class VecScenes(VecEnv):
         raise NotImplementedError
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        raise NotImplementedError
+        if method_name != "action_masks":
+            raise NotImplementedError
+        return list(self._open | ~self._open.any(-1, keepdims=True))  # none is open: it brakes, whatever is chosen
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         return [False] * self.num_envs
@@ -155,6 +177,12 @@ def settings_of(algorithm: str, trial: str = "") -> dict[str, Any]:
     return {**COMMON, **CONFIG[algorithm], **TRIALS[algorithm][trial or CHOSEN[algorithm]]}
 
 
+def known_settings(algorithm: str) -> list[str]:
+    """The settings of stable-baselines3 that may be changed."""
+    names = inspect.signature(KINDS[algorithm].__init__).parameters
+    return [n for n in names if n not in OURS_TO_SAY and n[0] != "_" and not n.endswith(("_class", "_kwargs"))]
+
+
 def learn(
     algorithm: str,
     scenes: Mixed,
@@ -164,45 +192,51 @@ def learn(
     steps: int,
     seed: int,
     trial: str = "",
+    changes: Mapping[str, Any] | None = None,
     watch: Callable[[int, Logits], None] = lambda *_: None,
+    log: Callable[[int, dict[str, float]], None] = lambda *_: None,
 ) -> dict[str, float]:
-    """Train "ppo", "a2c" or "dqn" for `steps` decisions and export it to `out` (.safetensors) for
+    """Train one of `LEARNERS` for `steps` decisions and export it to `out` (.safetensors) for
     `fast_node.policies.mlp`.
 
-    trial: one of TRIALS, instead of the chosen one.
+    trial: one of TRIALS, instead of the chosen one; changes: of these settings, by their names in stable-baselines3.
 
     Returns the mean return and the share of crashes of its last 200 episodes, if any came to an end.
 
-    `watch` is called with the decisions made so far and the policy of that moment, before the first and after each.
+    `watch` is called with the decisions made so far and the policy of that moment, before the first and after each;
+    `log` with them and the figures of that moment, now and then.
     """
     torch.set_num_threads(1)
     env = VecScenes(scenes, variant)
-    settings = settings_of(algorithm, trial)
-    kinds: dict[str, Any] = {"ppo": PPO, "a2c": A2C, "dqn": DQN}
-    model = kinds[algorithm](
-        "MlpPolicy",
-        env,
-        seed=seed,
-        device="cpu",
-        **settings,
-        policy_kwargs={"net_arch": [WIDTH, WIDTH], **_ADAM[algorithm]},
-    )
+    settings = {**settings_of(algorithm, trial), **(changes or {})}
+    try:
+        model = KINDS[algorithm](
+            "MlpPolicy",
+            env,
+            seed=seed,
+            device="cpu",
+            **settings,
+            policy_kwargs={"net_arch": [WIDTH, WIDTH], **_ADAM[algorithm]},
+        )
+    except (TypeError, AssertionError) as error:
+        raise ValueError(f"{algorithm} does not take {changes}: {error}") from None
     sidecar = {"algorithm": algorithm, "variant": variant, "activation": "relu" if algorithm == "dqn" else "tanh"}
 
     def now(x: Array) -> Array:
         return MlpPolicy(weights_of(model), sidecar).logits(x)
 
     watch(0, now)
-    model.learn(steps, callback=_Watch(lambda done: watch(done, now)))
-    last = env.episodes[-200:]
-    metrics = (
-        {
-            "episodic_return": round(float(np.mean([r for r, _ in last])), 4),
-            "crash_rate": round(float(np.mean([c for _, c in last])), 4),
-        }
-        if last
-        else {}
-    )
+    started, logged = time.perf_counter(), 0
+
+    def after(done: int) -> None:
+        nonlocal logged
+        watch(done, now)
+        if done // LOG_EVERY > logged and (metrics := env.metrics()):
+            logged = done // LOG_EVERY
+            log(done, {**metrics, "SPS": done / (time.perf_counter() - started)})
+
+    model.learn(steps, callback=_Watch(after))
+    metrics = {name: round(value, 4) for name, value in env.metrics().items()}
     export(
         model,
         out,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import torch
@@ -28,6 +29,14 @@ class LearnerConfig:
     entropy: float = 0.01
     value_weight: float = 0.5
     max_grad_norm: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if not 0 <= value < math.inf or (name in ("epochs", "minibatch") and value < 1):
+                raise ValueError(f"{name} {value} is not a positive number")
+        for name in ("gamma", "lam"):
+            if not getattr(self, name) <= 1:
+                raise ValueError(f"{name} {getattr(self, name)} is not within 0..1")
 
 
 def advantages(

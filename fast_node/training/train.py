@@ -82,6 +82,7 @@ def train(
     resume: bool = False,
     start: dict[str, Any] | None = None,
     watch: Callable[[int, Logits], None] = lambda *_: None,
+    track: bool = False,
 ) -> dict[str, float]:
     """Train for `steps` decisions and export to `out` (.safetensors). Returns the last figures.
 
@@ -90,7 +91,8 @@ def train(
     the state to resume from (.train.pt). A resumed run goes on with network, optimizer, generators and step count; the
     worlds are the caller's, and start new episodes. `start`: `saved_state` of another run, with whose network this
     one begins, instead of a random one. `watch` is called with the decisions made so far and the policy of that moment,
-    before the first and after each. Raises `ConfigError` for a state that is not this run's, or not of this code.
+    before the first and after each. `track`: keep a W&B run, too. Raises `ConfigError` for a state that is not this
+    run's, or not of this code.
     """
     run = _Run(scenes, out, seed, config or LearnerConfig())
     if start is not None:
@@ -100,7 +102,7 @@ def train(
     figures: dict[str, float] = {}
     started, before = time.perf_counter(), run.done
     watch(run.done, run.logits)
-    with logged(out, run.done) as log:
+    with logged(out, run.done, track=run.facts if track else None) as log:
         while run.done < steps:
             run.slow_down(steps)
             figures = run.update(run.roll_out(watch))
@@ -123,7 +125,7 @@ class _Run:
         self._generator = torch.Generator().manual_seed(seed)
         self.net = ActorCritic(WIDTH, HEADS, LAYERS)
         self._optimizer = torch.optim.Adam(self.net.parameters(), lr=config.lr, eps=1e-5, fused=True)
-        self._facts = {
+        self.facts = {
             "seed": seed,
             **conditions(scenes),
             "learner": asdict(config),
@@ -138,17 +140,17 @@ class _Run:
     def begin_with(self, start: dict[str, Any]) -> None:
         """Take the network of another run. Raises `ConfigError` where it is of another code."""
         for name in ("layout_hash", "mask"):
-            if (found := start["run"].get(name)) != self._facts[name]:
+            if (found := start["run"].get(name)) != self.facts[name]:
                 raise ConfigError(
-                    f"the run to start from has {name} {found!r}, this code {self._facts[name]!r}: train it anew"
+                    f"the run to start from has {name} {found!r}, this code {self.facts[name]!r}: train it anew"
                 )
         self.net.load_state_dict(start["net"])
-        self._facts["start"] = {"steps": start["steps"], **start["run"]}
+        self.facts["start"] = {"steps": start["steps"], **start["run"]}
 
     def go_on(self, steps: int) -> None:
         """Go on where this run was last saved. Raises `ConfigError` where that was another run, or is at its end."""
         saved, out = saved_state(self._out, resumable=True), self._out
-        run = self._facts
+        run = self.facts
         run |= {k: v for k, v in saved["run"].items() if k == "start"}
         self.done, self._resumed_at = saved["steps"], [*saved["resumed_at"], saved["steps"]]
         if (was := saved["run"]) != run:
@@ -239,7 +241,7 @@ class _Run:
         """Keep all that a resumed run needs."""
         path = self._out.with_suffix(".train.pt")
         state = {
-            "run": self._facts,
+            "run": self.facts,
             "steps": self.done,
             "resumed_at": self._resumed_at,
             "net": self.net.state_dict(),
@@ -258,7 +260,7 @@ class _Run:
             {
                 "algorithm": "ours",
                 "steps": self.done,
-                **self._facts,
+                **self.facts,
                 "resumed_at": self._resumed_at,
                 "revision": revision(),
                 "metrics": {k: round(v, 4) for k, v in figures.items() if k not in ("SPS", "learning_rate")},

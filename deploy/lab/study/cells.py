@@ -22,7 +22,7 @@ from deploy.lab.episodes import FIRST_SEED, Logits, by_the_tick, load, record, t
 from deploy.lab.training import BASELINE_SCENES, SCENES, mixed_scenes, scenes_of
 from fast_node.mask import VERSION as MASK_VERSION
 from fast_node.policies.load import load_policy
-from fast_node.policies.mlp import BASELINES, PARTS, VARIANTS, masked, told
+from fast_node.policies.mlp import BASELINES, LEARNERS, PARTS, VARIANTS, masked, told
 from fast_node.training.rollout import Driver, Fleet
 from schemas.driving.features import LAYOUT_HASH
 from sim_node.engine.batched import Batched
@@ -30,6 +30,8 @@ from sim_node.results import summarise
 from sim_node.scenarios import SCENARIOS
 
 ALGORITHMS = ("ours", *BASELINES)
+MASKED_ONLY = ("ours", "maskable-ppo")
+"""They learn by what the mask closes."""
 ROADS = ("highway", "merge", "two-way")
 SEEDS, STEPS, EPISODES = (0, 1, 2, 3, 4), 100_000, 100
 CURVE_EVERY, CURVE_SCENES, CURVE_SEED = 10_000, 64, 9_000_000
@@ -83,7 +85,7 @@ def cells_of(
 ) -> list[Cell]:
     """The matrix, one seed of everything after the other. Raises ValueError for unknown names."""
     for what, names, known in (
-        ("algorithm", algorithms, ALGORITHMS),
+        ("algorithm", algorithms, ("ours", *LEARNERS)),
         ("scenario", scenarios, tuple(SCENARIOS)),
         ("variant", variants, VARIANTS + PARTS),
     ):
@@ -95,7 +97,7 @@ def cells_of(
         for seed in seeds
         for scenario in scenarios
         for algorithm in algorithms
-        for variant in (("masked",) if algorithm == "ours" else variants)
+        for variant in (("masked",) if algorithm in MASKED_ONLY else variants)
     ]
 
 

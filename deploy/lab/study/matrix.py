@@ -92,7 +92,7 @@ def run_search(
     if "ours" in algorithms:
         raise ValueError("the search is for the baselines: leave ours out")
     needed("torch", "train")
-    needed("stable_baselines3", "baselines")
+    needed("stable_baselines3", "train")
     from fast_node.training.baselines import CHOSEN, TRIALS
 
     plain = cells_of(algorithms, scenarios, [SEARCH_SEED + k for k in range(seeds)], steps, variants=variants)

@@ -17,7 +17,7 @@ from fast_node.training.train import random_inputs, train
 from schemas.driving.features import Array
 from schemas.runtime.process import ConfigError
 
-TRAINERS = ("ours", "ppo", "dqn", "a2c")
+TRAINERS = ("ours", "ppo", "dqn", "a2c", "maskable-ppo")
 DECISIONS = 256
 SEEN = random_inputs(3)
 
