@@ -279,3 +279,45 @@ def interpret(
     if source is None:
         raise typer.BadParameter('give a file or "-", or --explain or --score', param_hint="'--input'")
     raise typer.Exit(batch(source, output, scene, ask=ask, parser=parser, k=k, threads=threads, model=options))
+
+
+@commands.command(
+    epilog="Examples:\n\n  fastslow conform --sim -- python sim.py {port}\n\n"
+    "  fastslow conform --driver -- python driver.py {port}\n\n"
+    "  fastslow conform --driver --port 7447    (waits for a driver that connects by itself)\n\n" + EXITS
+)
+def conform(
+    command: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[-- COMMAND...]",
+            help="Starts the node; {port} is replaced by the port.",
+            show_default="it connects by itself",
+        ),
+    ] = None,
+    sim: Annotated[bool, typer.Option("--sim", help="Try a simulator.")] = False,
+    driver: Annotated[bool, typer.Option("--driver", help="Try a driver.")] = False,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port on 127.0.0.1 to listen on; 0: any.")] = 0,
+    wait: Annotated[float, typer.Option(min=0.1, help="How long its first message may take, in seconds.")] = 20.0,
+    budget_ms: Annotated[float, typer.Option(min=1.0, max=50.0, help="How long an answer may take.")] = 20.0,
+    scenario: Annotated[str, typer.Option(help="The road that a driver is shown.")] = "two-way-natural",
+    seed: Annotated[int, typer.Option(min=0, help="Of its traffic.")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Try somebody's simulator or driver on the bus, and print what is wrong with each of its duties."""
+    from deploy.conform.run import conform as try_it
+
+    if sim == driver:
+        raise typer.BadParameter("choose one of them", param_hint="'--sim' / '--driver'")
+    raise typer.Exit(
+        try_it(
+            "sim" if sim else "driver",
+            command or (),
+            port=port,
+            wait_s=wait,
+            budget_ms=budget_ms,
+            scenario=scenario,
+            seed=seed,
+            as_json=as_json,
+        )
+    )
