@@ -164,7 +164,7 @@ class Loop:
         for order in self._orders.take():
             if order.do == "restart":
                 try:
-                    self._node.restart(order.scenario, order.seed, time.monotonic_ns())
+                    self._node.restart(order, time.monotonic_ns())
                 except ValueError as error:
                     log("sim", "order", str(error))
                 else:
@@ -224,6 +224,7 @@ class Loop:
             "skipped": self._schedule.skipped,
             "episodes": m.episodes, "holds": m.holds, "failsafes": m.failsafes, "passed": m.passed,
             "reached": m.reached, "struck": m.struck, "min_ttc_s": m.min_ttc_s,
+            "seed": float(node.seed), "density": node.density,
             "paused": float(self._paused), "refused": m.refused, "strays": gate.strays,
         }  # fmt: skip
 

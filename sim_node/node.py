@@ -11,7 +11,7 @@ import numpy as np
 from schemas.driving.episode import Ending
 from schemas.driving.measures import TTC_CAP_S
 from schemas.driving.road import HZ, LANE
-from schemas.wire.messages import Action, Event, EventKind, MetaAction, Observation
+from schemas.wire.messages import Action, Control, Event, EventKind, MetaAction, Observation
 from sim_node.actuator import REASONS
 from sim_node.config import SimConfig
 from sim_node.env import ScenarioEnv
@@ -86,12 +86,17 @@ class SimNode:
         )
         self._recorder = Recorder(self._env.scenario, 1, config.hz)
 
-    def restart(self, scenario: str, seed: int | None, now_ns: int) -> None:
-        """Begin the next world at once, on another road ("": the same) with another seed (None: the same).
+    def restart(self, order: Control, now_ns: int) -> None:
+        """Begin the next world at once, as the order says: another road, seed or density, or what there is now.
 
-        Raises ValueError if there is no such road or seed; then nothing has changed.
+        Raises ValueError if there is no such road, seed or density; then nothing has changed.
         """
-        config = msgspec.structs.replace(self._config, seed=self._config.seed if seed is None else seed)
+        config, scenario = self._config, order.scenario
+        config = msgspec.structs.replace(
+            config,
+            seed=config.seed if order.seed is None else order.seed,
+            density=config.density if order.density is None else order.density,
+        )
         if scenario not in ("", config.scenario):
             config = msgspec.structs.replace(config, scenario=scenario, scenario_toml="")
         self.build(config)
@@ -108,6 +113,16 @@ class SimNode:
         """The lane the ego's centre is in."""
         return int(self._rows[0, LANE])
 
+    @property
+    def seed(self) -> int:
+        """Of this episode."""
+        return self._config.seed + self.metrics.episodes - self._first - 1
+
+    @property
+    def density(self) -> float:
+        """Times the scenario's own."""
+        return self._config.density
+
     def reset(self, epoch: int) -> None:
         """Begin the next episode as world `epoch`, at tick 0, with the next seed."""
         self._env.reset(seed=self._config.seed + self.metrics.episodes - self._first)
@@ -119,7 +134,9 @@ class SimNode:
 
     def announce(self, why: str, now_ns: int) -> None:
         """Note the event that this world has begun, and why."""
-        detail = f"new world {why}, seed {self._config.seed + self.metrics.episodes - self._first - 1}"
+        detail = f"new world {why}, seed {self.seed}"
+        if self.density != 1.0:
+            detail += f", density {self.density:g}"
         self._events.append(
             Event(epoch=self.epoch, stamp_ns=now_ns, kind=EventKind.WORLD, node="sim", tick=0, detail=detail)
         )

@@ -227,6 +227,7 @@ class Picture:
             "target_lane": seen.target_lane,
             "previous_lane": seen.previous_lane,
             "crashed": seen.crashed,
+            **self._world(),
             **_around(rows, int(ego[LANE])),
         }
         if self.action is not None and self.action.epoch == seen.epoch:
@@ -239,6 +240,11 @@ class Picture:
         elif plan is not None and plan["state"] in ("active", "delayed") and plan["waits_for"]:
             frame["waits_for"] = plan["waits_for"]
         return frame
+
+    def _world(self) -> dict[str, float]:
+        """Seed and density of the traffic, as the simulator's heartbeat has them."""
+        sim = self._nodes.get("sim")
+        return {} if sim is None else {k: sim.metrics[k] for k in ("seed", "density") if k in sim.metrics}
 
     def road(self) -> dict[str, Any] | None:
         """What of the road stays as it is through a world; None before the first observation."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import secrets
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cache
 from heapq import merge
 from typing import Any, Literal, Protocol
@@ -91,28 +91,42 @@ class BusSource:
     def control(self, do: str, value: Any) -> None:
         if not self._obeys:
             raise Refused("The running simulator takes no orders.")
-        order = {"scenario": "", "seed": None}
-        if do == "restart" and isinstance(value, dict):
-            order |= {name: value[name] for name in order if name in value}
-        known = order["scenario"] in ("", *_scenarios())
-        if do not in ("pause", "resume", "step", "restart") or not known or not _is_seed(order["seed"]):
+        if do not in ("pause", "resume", "step", "restart"):
             raise Refused("The simulator takes no such order.")
-        self._bus.publish(topics.CONTROL, Control(epoch=0, stamp_ns=self._clock_ns(), do=do, **order))  # type: ignore[arg-type]
+        world = _world(value) if do == "restart" and isinstance(value, dict) else {}
+        self._bus.publish(topics.CONTROL, Control(epoch=0, stamp_ns=self._clock_ns(), do=do, **world))  # type: ignore[arg-type]
 
     def state(self) -> dict[str, Any]:
         can = ["say", "pause", "step", "restart"] if self._obeys else ["say"]
         return {"kind": self.kind, "can": can, "paused": self._paused, "scenarios": _scenarios() if self._obeys else []}
 
 
-def _is_seed(value: object) -> bool:
-    return value is None or (isinstance(value, int) and 0 <= value < 2**31)
+def _world(asked: dict[str, Any]) -> dict[str, Any]:
+    """The road, seed and density of a restart, as far as named. Raises `Refused` where there is no such world."""
+    world = {name: asked[name] for name in ("scenario", "seed", "density") if asked.get(name) is not None}
+    scenario, seed, density = world.get("scenario", ""), world.get("seed", 0), world.get("density", 1.0)
+    if scenario not in ("", *_scenarios()):
+        raise Refused("There is no such road.")
+    if not (isinstance(seed, int) and 0 <= seed < 2**31):
+        raise Refused(f"A seed is a whole number from 0 to {2**31 - 1}.")
+    if not isinstance(density, int | float):
+        raise Refused("A density is a number.")
+    try:
+        _roads()[scenario or "highway"].varied((), density)
+    except ValueError as error:
+        raise Refused(f"There is no such traffic: {error}.") from None
+    return world
 
 
 @cache
-def _scenarios() -> list[str]:
+def _roads() -> Mapping[str, Any]:
     from sim_node.scenarios import SCENARIOS  # here: a recording needs nothing of it
 
-    return list(SCENARIOS)
+    return SCENARIOS
+
+
+def _scenarios() -> list[str]:
+    return list(_roads())
 
 
 class Recorded(Protocol):

@@ -97,7 +97,7 @@ def check_world(tape: Tape, config: SimConfig) -> Comparison:
             node = SimNode(config)
             node.reset(first.epoch)
         elif order := next((o for o in tape.orders if ended_ns <= o.stamp_ns <= first.stamp_ns), None):
-            node.restart(order.scenario, order.seed, 0)
+            node.restart(order, 0)
         elif not node.over:  # the world before was not seen to its end, so that its end is not known
             observations.unchecked += len(world)
             continue

@@ -22,7 +22,7 @@ from msgspec import Struct
 
 from schemas.wire.program import Program, Step
 
-SCHEMA_VERSION = "3.2"
+SCHEMA_VERSION = "3.3"
 
 Manoeuvre = Literal["cruise", "follow", "overtake", "merge", "yield", "stop"]
 Mode = Literal["NOMINAL", "DEGRADED", "FAIL-SAFE", "STOPPED"]
@@ -373,6 +373,8 @@ class Control(Message, frozen=True, kw_only=True, tag="control"):
     """Of a restart: the road; "" for the same."""
     seed: int | None = None
     """Of a restart: which traffic; None for the same."""
+    density: float | None = None
+    """Of a restart: times the road's own traffic; None for the same."""
 
 
 class Found(Struct, frozen=True, kw_only=True, omit_defaults=True):

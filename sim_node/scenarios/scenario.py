@@ -32,6 +32,8 @@ LEFT_ROAD_M = 20.0
 """Who is this near to the end of its road has left it."""
 CLEAR_M = 15.0
 """A car that would start nearer than this to one that is already there, centre to centre, is left out."""
+DENSITIES = (0.2, 3.0)
+"""Times a road's own traffic: beyond, cars would start inside each other."""
 ALWAYS = -math.inf
 
 
@@ -185,10 +187,9 @@ class Scenario:
     def denser(self, factor: float) -> Scenario:
         """The same road with `factor` times the density: every gap and first distance is divided by it.
 
-        Raises ValueError unless 0.2 <= factor <= 3: beyond that cars would start inside each other.
+        Raises ValueError unless the factor is within `DENSITIES`.
         """
-        if not 0.2 <= factor <= 3.0:
-            raise ValueError(f"density {factor} is not within 0.2..3")
+        check_density(factor)
 
         def shorter(r: Range) -> Range:
             return r[0] / factor, r[1] / factor
@@ -362,6 +363,12 @@ def draw_wish(
     if lead >= 0 and rng.random() < overtake_share:
         return home, lead, high, headway
     return home, NOBODY, speed, headway
+
+
+def check_density(factor: float) -> None:
+    """Raises ValueError unless it is within `DENSITIES`."""
+    if not DENSITIES[0] <= factor <= DENSITIES[1]:
+        raise ValueError(f"density {factor:g} is not within {DENSITIES[0]:g}..{DENSITIES[1]:g}")
 
 
 def centre_line(pieces: Any, lane: int, x: float) -> tuple[float, float]:

@@ -20,7 +20,7 @@ from numpy.random import Generator
 
 from sim_node.scenarios.manners import draw
 from sim_node.scenarios.merge import lanes as merge_lanes
-from sim_node.scenarios.scenario import EgoPlan, Expect, LanePlan, Scenario, Spawn, Success, straight
+from sim_node.scenarios.scenario import EgoPlan, Expect, LanePlan, Scenario, Spawn, Success, check_density, straight
 
 KINDS: dict[str, type[Any]] = {"highway-v0": HighwayEnv, "merge-v0": MergeEnv, "two-way-v0": TwoWayEnv}
 
@@ -45,8 +45,7 @@ class Stock(Scenario):
         cars at fixed places."""
         if self.stock != "highway-v0" and factor != 1.0:
             raise ValueError(f"{self.stock} has no density but 1")
-        if not 0.2 <= factor <= 3.0:
-            raise ValueError(f"density {factor} is not within 0.2..3")
+        check_density(factor)
         return dataclasses.replace(self, vehicles_density=self.vehicles_density * factor)
 
     @property

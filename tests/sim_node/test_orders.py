@@ -43,6 +43,10 @@ class Faster(Nobody):
         return Action(epoch=epoch, stamp_ns=0, answers_tick=tick, meta_action=int(MetaAction.SPEED_UP), source="policy")
 
 
+def order(do: str, scenario: str = "", seed: int | None = None, density: float | None = None) -> Control:
+    return Control(epoch=0, stamp_ns=0, do=do, scenario=scenario, seed=seed, density=density)  # type: ignore[arg-type]
+
+
 class World:
     def __init__(self, answers: Nobody | None = None) -> None:
         self.bus = LocalBus()
@@ -52,9 +56,8 @@ class World:
         self.events = self.bus.subscribe(topics.EVENT)
         self.loop = shell.Loop(self.bus, self.node, answers or Nobody(), Schedule(ManualClock(), 15))  # type: ignore[arg-type]
 
-    def order(self, do: str, scenario: str = "", seed: int | None = None) -> None:
-        order = Control(epoch=0, stamp_ns=0, do=do, scenario=scenario, seed=seed)  # type: ignore[arg-type]
-        self.bus.publish(topics.CONTROL, order)
+    def order(self, do: str, scenario: str = "", seed: int | None = None, density: float | None = None) -> None:
+        self.bus.publish(topics.CONTROL, order(do, scenario, seed, density))
 
     def ticks(self, count: int = 1) -> list[int]:
         shown = []
@@ -126,18 +129,34 @@ def test_a_road_from_a_file_is_kept_at_a_restart_and_left_for_a_road_of_ours() -
     node = SimNode(config)
     node.reset(0)
     before = node.observation(0)
-    node.restart("", None, 0)
+    node.restart(order("restart"), 0)
     again = node.observation(0)
     assert (again.scenario, again.rows, again.lanes[0].width_m) == ("mine", before.rows, 3.2)
-    node.restart("merge", None, 0)
+    node.restart(order("restart", "merge"), 0)
     assert node.observation(0).scenario == "merge"
 
 
-@pytest.mark.parametrize(("scenario", "seed"), [("moon", 1), ("merge", -1)])
-def test_an_order_that_makes_no_sense_changes_nothing(scenario: str, seed: int) -> None:
+def test_a_restart_with_a_density_has_that_much_traffic_and_a_later_one_keeps_it() -> None:
+    world = World()
+    world.order("restart", density=2.0)
+    world.loop.tick(0)
+    world.order("restart", seed=4)
+    world.loop.tick(0)
+    expected = SimNode(SimConfig(scenario="highway", seed=4, density=2.0))
+    expected.reset(3)
+    assert [shown.rows for shown in world.seen.take()][-1:] == [expected.observation(0).rows]
+    assert world.events.take()[-1].detail == "new world as ordered, seed 4, density 2"
+    assert (world.loop.metrics()["seed"], world.loop.metrics()["density"]) == (4.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "seed", "density"),
+    [("moon", 1, None), ("merge", -1, None), ("merge", 1, 0.1), ("merge", 1, 3.5), ("merge-v0", 1, 2.0)],
+)
+def test_an_order_that_makes_no_sense_changes_nothing(scenario: str, seed: int, density: float | None) -> None:
     world = World()
     world.ticks(2)
-    world.order("restart", scenario, seed)
+    world.order("restart", scenario, seed, density)
     assert world.ticks(2) == [2, 3]
 
 

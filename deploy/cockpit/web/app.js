@@ -18,6 +18,7 @@ let frame = null;
 let stale = false;
 let wait = 250;
 let bannerUntil = 0;
+let chosen = false;  // another road, seed or density stands in the form, and is not ordered yet
 
 function connect() {
   socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
@@ -78,11 +79,23 @@ function showSource() {
     text($("position"), `${source.position.toFixed(1)} / ${source.length.toFixed(1)} s`);
     if (document.activeElement !== $("speed")) $("speed").value = String(source.speed);
   }
-  const roads = source.scenarios || [];
-  if ($("road-choice").length !== roads.length) {
-    $("road-choice").replaceChildren(...roads.map((name) => new Option(name, name)));
-    if (roads.length && road.road) $("road-choice").value = road.road.scenario;
+  showWorld();
+}
+
+/** Road, seed and density; the form has them, too, until somebody chooses others. */
+function showWorld() {
+  const { seed, density } = frame;
+  text($("traffic"), seed === undefined ? "" : `seed ${seed}${density === 1 ? "" : ` · density ${+density.toFixed(2)}×`}`);
+  if (chosen || !source.scenarios?.length || !road.road || seed === undefined) return;
+  const now = road.road.scenario, choice = $("road-choice");
+  const own = source.scenarios.includes(now) ? [] : [new Option(now, "")];  // a road from a file: "" keeps it
+  const names = [...own.map((one) => one.text), ...source.scenarios];
+  if (names.join() !== [...choice.options].map((one) => one.text).join()) {
+    choice.replaceChildren(...own, ...source.scenarios.map((name) => new Option(name, name)));
   }
+  choice.value = own.length ? "" : now;
+  if ($("seed").value !== String(seed)) $("seed").value = seed;
+  if (Number($("density").value) !== density) $("density").value = density;
 }
 
 function link(is, words) {
@@ -167,9 +180,11 @@ $("seek").addEventListener("input", () => {
   clearTimeout(sought);
   sought = setTimeout(() => send({ do: "seek", value: goal }), 120);
 });
+$("restart").addEventListener("input", () => { chosen = true; });
 $("restart").addEventListener("submit", (event) => {
   event.preventDefault();
-  send({ do: "restart", value: { scenario: $("road-choice").value, seed: Number($("seed").value) } });
+  chosen = false;
+  send({ do: "restart", value: { scenario: $("road-choice").value, seed: Number($("seed").value), density: Number($("density").value) } });
 });
 $("say").addEventListener("submit", (event) => {
   event.preventDefault();

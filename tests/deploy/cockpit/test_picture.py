@@ -121,3 +121,9 @@ def test_a_bent_lane_has_its_shape_from_the_simulators_own_geometry():
 
 def test_the_road_of_a_foreign_simulator_is_straight():
     assert picture_of(seen(scenario="elsewhere")).road()["shapes"] == [None, None]  # type: ignore[index]
+
+
+def test_seed_and_density_are_those_of_the_simulators_heartbeat():
+    beat = Status(epoch=1, stamp_ns=0, node="sim", pid=1, seq=1, state="ready", metrics={"seed": 7.0, "density": 1.5})
+    frame = picture_of(beat, seen()).frame(10 * NS)
+    assert (frame["seed"], frame["density"]) == (7.0, 1.5)

@@ -15,7 +15,7 @@ from deploy.cockpit.sources import BusSource
 from schemas.runtime.bus import Subscription
 from schemas.runtime.local_bus import LocalBus
 from schemas.wire import topics
-from schemas.wire.messages import Command
+from schemas.wire.messages import Command, Status
 
 HOST = "127.0.0.1:8000"
 HERE = f"http://{HOST}"
@@ -96,6 +96,28 @@ def test_words_reach_the_car(site):
 def test_nothing_and_too_much_do_not(site, words):
     assert site.answer({"say": words}) != ""
     assert site.commands.take() == []
+
+
+RESTARTS = [
+    ({"scenario": "merge", "seed": 4, "density": 2}, ""),
+    ({"scenario": "", "density": 0.5}, ""),
+    ({"scenario": "moon"}, "no such road"),
+    ({"seed": -1}, "whole number from 0"),
+    ({"seed": 1.5}, "whole number from 0"),
+    ({"density": 9}, "not within 0.2..3"),
+    ({"density": "much"}, "is a number"),
+    ({"scenario": "merge-v0", "density": 2}, "has no density but 1"),
+]
+
+
+@pytest.mark.parametrize(("world", "refused"), RESTARTS)
+def test_a_restart_reaches_the_simulator_or_is_refused_with_what_is_possible(site, world, refused):
+    orders = site.bus.subscribe(topics.CONTROL)
+    beat = Status(epoch=0, stamp_ns=0, node="sim", pid=1, seq=1, state="ready", metrics={"paused": 0.0})
+    site.bus.publish(topics.STATUS, beat)
+    assert refused in site.answer({"do": "restart", "value": world})
+    asked = [{"scenario": o.scenario, "seed": o.seed, "density": o.density} for o in orders.take()]
+    assert asked == ([] if refused else [{"scenario": "", "seed": None, "density": None, **world}])
 
 
 def test_beyond_loopback_a_page_may_look_but_not_speak():

@@ -30,8 +30,8 @@ def test_a_world_that_was_ordered_comes_out_again() -> None:
 
     drive(20)
     now_ns += 1
-    tape.orders.append(Control(epoch=7, stamp_ns=now_ns, do="restart", scenario="highway", seed=5))
-    node.restart("highway", 5, now_ns)
+    tape.orders.append(Control(epoch=7, stamp_ns=now_ns, do="restart", scenario="highway", seed=5, density=2.0))
+    node.restart(tape.orders[-1], now_ns)
     drive(20)
     found = check_world(tape, config)
     assert (found.checked, found.identical, found.unchecked) == (40, 40, 0)

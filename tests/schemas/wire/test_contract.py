@@ -128,6 +128,7 @@ STRATEGIES: dict[str, st.SearchStrategy[m.Message]] = {
         do=st.sampled_from(["pause", "resume", "step", "restart"]),
         scenario=words,
         seed=st.none() | counts,
+        density=st.none() | numbers,
         **header,
     ),
     "journal": st.builds(
