@@ -17,7 +17,7 @@ from deploy.conform.verdict import Duty, all_hold, table
 from schemas.driving.road import HZ, ID, VX
 from schemas.runtime.clock import NS
 from schemas.wire.codec import rows_of
-from schemas.wire.messages import Event, EventKind, Observation
+from schemas.wire.messages import Control, Event, EventKind, Observation
 from sim_node.config import SimConfig
 from sim_node.gate import Gate
 from sim_node.node import SimNode
@@ -32,7 +32,7 @@ def _driven() -> Drive:
     sim.reset(1)
     for phase, ticks, say in script(BUDGET_NS):
         if phase == "restart":
-            sim.restart("", None, now_ns)
+            sim.restart(Control(epoch=0, stamp_ns=now_ns, do="restart"), now_ns)
         for k in range(ticks):
             step = Step(phase, sim.observation(now_ns), now_ns + 500_000)
             step.sent = say(step.seen, k)
