@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import ActionType
-from highway_env.envs.common.observation import ObservationType
+from highway_env.envs.common.observation import ObservationType, observation_factory
 from highway_env.road.road import Road
 from numpy.typing import NDArray
 
@@ -18,11 +18,12 @@ from schemas.driving.episode import Decision, Ending, closeness, ending, flags, 
 from schemas.driving.features import BOUND, FEATURES, N_ROWS, features
 from schemas.driving.intent import ANY_LANE, Intent
 from schemas.driving.road import HZ, X
-from schemas.wire.messages import POLICY_ACTIONS, Lane, MetaAction, Observation
+from schemas.wire.messages import POLICY_ACTIONS, Lane, Observation
 from sim_node import actuator, executor
 from sim_node.drawing import picture
 from sim_node.ego import EgoVehicle
 from sim_node.engine.accelerated import Accelerated
+from sim_node.engine.kinematics import ArrayKinematics
 from sim_node.episode import Wishes, populate
 from sim_node.observe import perceived, rows
 from sim_node.road import LaneMap, has_left, network
@@ -32,6 +33,20 @@ from sim_node.scenarios.scenario import streams
 
 Guard = Callable[["ScenarioEnv", int], int]
 """Called before every tick with the environment and the action; what it returns is done. The safety mask goes here."""
+
+
+HONOURED = (
+    "observation",
+    "screen_width",
+    "screen_height",
+    "centering_position",
+    "scaling",
+    "show_trajectories",
+    "render_agent",
+    "offscreen_rendering",
+    "real_time_rendering",
+)
+"""What of highway-env's `config` means something here; the rest are arguments of their own, or of no use."""
 
 
 class _Features(ObservationType):  # type: ignore[misc]
@@ -118,8 +133,8 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         self._gates = scenario.gates().tolist()
         self.lane_map = LaneMap(scenario)
         self._wishes = Wishes(scenario)
-        rates = {"simulation_frequency": hz, "policy_frequency": hz}
-        super().__init__({**(config or {}), **rates}, render_mode)
+        self._rates = {"simulation_frequency": hz, "policy_frequency": hz}
+        super().__init__(config or {}, render_mode)
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
@@ -164,8 +179,22 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
             )
         return self._seen
 
+    def configure(self, config: dict[str, Any]) -> None:
+        """Only at the start. Raises ValueError for what this environment does not honour."""
+        if getattr(self, "observation_space", None) is not None:
+            raise ValueError("an environment keeps its config: make another one")
+        for name in config:
+            if name not in HONOURED:
+                raise ValueError(f"config {name!r} is not honoured: choose from {', '.join(HONOURED)}")
+        super().configure({**config, **self._rates})
+
     def define_spaces(self) -> None:
-        self.observation_type = _Features(self)
+        wanted = self.config["observation"]
+        kinds: dict[str, Any] = {"Features": _Features, "Kinematics": ArrayKinematics}
+        if (kind := kinds.get(wanted["type"])) is not None:
+            self.observation_type = kind(self, **{k: v for k, v in wanted.items() if k != "type"})
+        else:
+            self.observation_type = observation_factory(self, wanted)
         self.action_type = _MetaActions(self)
         self.observation_space = self.observation_type.space()
         self.action_space = self.action_type.space()
@@ -173,13 +202,20 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """A new episode: with a seed that very one, without one the next of this environment's own."""
+        """A new episode: with a seed that very one, without one the next of this environment's own.
+
+        Raises ValueError for options: there are none (`direct` sets a directive).
+        """
+        if options:
+            raise ValueError(f"no option {next(iter(options))!r}: this environment's reset takes none")
         self._seed = seed
         observation: tuple[NDArray[np.float32], dict[str, Any]] = super().reset(seed=seed, options=options)
         return observation
 
     def step(self, action: int) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One decision: the action at its first tick, then what was done there holds; the guard watches every tick."""
+        if not self.action_space.contains(action):
+            raise ValueError(f"action {action!r} is not one of 0..{POLICY_ACTIONS - 1}, a whole number")
         ego = self.ego
         decision = Decision(np.array([int(action)]), self.rows()[:1, X], np.array([ego.acceleration]))
         doing = int(action)
@@ -267,17 +303,11 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
 
     def action_masks(self) -> NDArray[np.bool_]:
         """(5,) which actions do anything now: the lane exists here, one change at a time, speed within its bounds."""
-        ego, scenario = self.ego, self.scenario
-        able = np.ones(POLICY_ACTIONS, np.bool_)
-        able[MetaAction.SLOW_DOWN] = ego.target_speed > scenario.ego.speed_floor_mps
-        able[MetaAction.SPEED_UP] = ego.target_speed < scenario.ego.speed_ceiling_mps
-        for action, step in ((MetaAction.LEFT, -1), (MetaAction.RIGHT, 1)):
-            aim = ego.target_lane + step
-            if ego.previous_lane >= 0:
-                able[action] = aim == ego.previous_lane
-            else:
-                able[action] = executor.lane_beside(self._gates, ego.target_lane, aim, float(ego.position[0]))
-        return able
+        ego, bounds = self.ego, self.scenario.ego
+        x, floor, ceiling = float(ego.position[0]), bounds.speed_floor_mps, bounds.speed_ceiling_mps
+        return np.array(
+            executor.able(self._gates, ego.target_speed, ego.target_lane, ego.previous_lane, x, floor, ceiling)
+        )
 
     def direct(
         self, lane: int = ANY_LANE, speed_mps: float = math.nan, headway_s: float = 1.5, overtake: bool = False
@@ -310,7 +340,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
             "speed": float(self.ego.speed),
             "crashed": bool(self.ego.crashed),
             "action": action,
-            "action_mask": self.action_masks(),
+            "action_mask": self.action_masks().astype(np.int8),
             "intent": self.intent,
         }
 

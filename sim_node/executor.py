@@ -94,6 +94,26 @@ def edit_set_points(
     return target_speed, target_lane, previous_lane
 
 
+def able(
+    gates: Any,
+    target_speed: float,
+    target_lane: int,
+    previous_lane: int,
+    x: float,
+    speed_floor: float,
+    speed_ceiling: float,
+) -> list[bool]:
+    """Which of the five meta-actions do anything now: the lane exists here, one change at a time, speed within its
+    bounds. The arguments are those of `edit_set_points`."""
+    sides = [
+        target_lane + step == previous_lane
+        if previous_lane >= 0
+        else lane_beside(gates, target_lane, target_lane + step, x)
+        for step in (-1, 1)
+    ]
+    return [target_speed > speed_floor, True, target_speed < speed_ceiling, *map(bool, sides)]
+
+
 def acceleration_command(
     speed: float, target_speed: float, last_accel: float, meta: int, style: int, dt: float
 ) -> float:

@@ -61,6 +61,10 @@ class Senses:
         self._rngs = [streams(seed)[2] for seed in seeds]
         self._imperfect = (noise_m, noise_mps, dropout)
 
+    def begin(self, scene: int, seed: int) -> None:
+        """Another episode begins in a scene."""
+        self._rngs[scene] = streams(seed)[2]
+
     def __call__(self, scene: int, table: NDArray[np.float32]) -> NDArray[np.float32]:
         """(V, 9) rows of a scene, ID negative where nobody is: the same rows as its ego perceives them."""
         here = np.flatnonzero(table[:, ID] >= 0)

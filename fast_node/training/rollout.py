@@ -21,6 +21,7 @@ from schemas.driving.episode import REDIRECT_PER_S, Decision, Ending, Goal, clos
 from schemas.driving.features import FEATURES, N_ROWS, Array, policy_input
 from schemas.driving.intent import ANY_LANE, NORMAL, intended_lane, unasked_lane
 from schemas.driving.measures import TTC_CAP_S
+from schemas.driving.reward import OURS, Weights
 from schemas.driving.road import DECISION_TICKS, HZ, LANE_END, LANE_Y, VX, X
 from schemas.runtime.compiled import compiled
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction
@@ -187,6 +188,8 @@ class Task:
     """A random directive for rows (V, 9) and a home lane: lane, id of the car to pass or -1, speed, headway."""
     preset: str = "sim"
     """Of the mask."""
+    weights: Weights = OURS
+    """Of the reward."""
 
 
 class Fleet:
@@ -348,7 +351,9 @@ class Scenes(Fleet):
             over = ending(w.crashed, w.rows[:, 0], self.task.goal)
             decision.tick(self._meta, w.rows[:, 0], w.accel, self.ttc_s, self.short, there, over)
         self.age += 1
-        earned = decision.earned(self.v_des, self.task.speed_range, to_reach=bool(self.task.goal.reach_lanes))
+        earned = decision.earned(
+            self.v_des, self.task.speed_range, to_reach=bool(self.task.goal.reach_lanes), weights=self.task.weights
+        )
         terminated, truncated = flags(decision.over, self.age * self._decision_ticks >= self.task.duration_ticks)
         again = redirect & (self._rng.random(s) < REDIRECT_PER_S * self._decision_ticks / HZ) & ~terminated & ~truncated
         if again.any():

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.driving.measures import TTC_CAP_S, ttc_s
-from schemas.driving.reward import reward, shortfall
+from schemas.driving.reward import OURS, Weights, reward, shortfall
 from schemas.driving.road import HZ, LANE, VX, X, gap_between, next_ahead, next_facing
 from schemas.wire.messages import MetaAction
 
@@ -138,7 +138,9 @@ class Decision:
         self._there = np.where(on, there, self._there)
         self.over = np.where(on, over, self.over)
 
-    def earned(self, v_des: Floats, speed_range: float, hz: int = HZ, *, to_reach: bool = False) -> NDArray[np.float32]:
+    def earned(
+        self, v_des: Floats, speed_range: float, hz: int = HZ, *, to_reach: bool = False, weights: Weights = OURS
+    ) -> NDArray[np.float32]:
         """(S,) the reward. v_des: (S,) wished speeds [m/s]; speed_range: see `reward`; to_reach: there is a place
         to be reached before the road's end."""
         seconds = self._ticks / hz
@@ -157,4 +159,5 @@ class Decision:
             self.over == Ending.COLLISION,
             seconds,
             (self.over == Ending.ROAD_END) & to_reach,
+            weights,
         )

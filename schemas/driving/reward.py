@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +31,27 @@ MISSED = -8.0
 OVERSPEED = 1.5
 """Too fast counts this much more than too slow."""
 
+
+class Weights(NamedTuple):
+    """What each term counts; by default the constants above, which the policies of this repository learn by."""
+
+    scale: float = SCALE
+    crash: float = CRASH
+    brake: float = BRAKE
+    near: float = NEAR
+    short: float = SHORT
+    comfort: float = COMFORT
+    jerk: float = JERK
+    change: float = CHANGE
+    act: float = ACT
+    lane: float = LANE
+    missed: float = MISSED
+    overspeed: float = OVERSPEED
+
+
+OURS = Weights()
+
+
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
@@ -48,6 +71,7 @@ def reward(
     crashed: Bools,
     seconds: float | Floats = 1.0,
     missed: Bools | bool = False,
+    weights: Weights = OURS,
 ) -> NDArray[np.float32]:
     """(S,) reward of one decision that lasted `seconds`; what happens once (an action, a brake, a crash) counts whole.
 
@@ -56,18 +80,26 @@ def reward(
     LEFT or RIGHT; in_wished_lane: aims for it, or none is wished; ttc_s: the smallest time to collision meanwhile;
     short: mean of `shortfall`; braked: the mask braked at some tick; missed: the goal was driven past.
     """
-    slow = np.abs(speed - v_des) / speed_range * np.where(speed > v_des, OVERSPEED, 1.0)
+    w = weights
+    slow = np.abs(speed - v_des) / speed_range * np.where(speed > v_des, w.overspeed, 1.0)
     running = (
         0.6
         - slow
-        + LANE * in_wished_lane
-        + COMFORT * accel_square
-        + JERK * np.minimum(jerk_square, 25.0)
-        + NEAR * np.clip(1.0 - ttc_s / NEAR_S, 0.0, 1.0)
-        + SHORT * short
+        + w.lane * in_wished_lane
+        + w.comfort * accel_square
+        + w.jerk * np.minimum(jerk_square, 25.0)
+        + w.near * np.clip(1.0 - ttc_s / NEAR_S, 0.0, 1.0)
+        + w.short * short
     )
-    total = seconds * running + ACT * acted + CHANGE * changes + BRAKE * braked + CRASH * crashed + MISSED * missed
-    return np.asarray(SCALE * total, np.float32)
+    total = (
+        seconds * running
+        + w.act * acted
+        + w.change * changes
+        + w.brake * braked
+        + w.crash * crashed
+        + w.missed * missed
+    )
+    return np.asarray(w.scale * total, np.float32)
 
 
 def shortfall(gap: float, speed: float, headway_s: float) -> float:

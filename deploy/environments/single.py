@@ -1,0 +1,126 @@
+"""One car on one road, as a Gymnasium environment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import msgspec
+import numpy as np
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+
+from deploy.environments.config import Directive, Features, Kinematics, OccupancyGrid, check_lane, convert, read
+from deploy.environments.episodes import Episodes, action_of, action_space, directive_of, features_space, one_of
+from deploy.environments.world import road_world
+from sim_node.scenarios import Scenario
+
+SEEDS = 2**31
+BOUNDED = {"presence", "x", "y", "vx", "vy", "cos_h", "sin_h", "on_road"}
+"""Features of highway-env's that lie within -1 and 1 once they are scaled and clipped."""
+_ALL = np.ones(1, np.bool_)
+Observation = NDArray[Any]
+
+
+class DrivingEnv(gymnasium.Env[Observation, int]):
+    """The world that `fastslow train` learns in, one decision at a time: `docs/gymnasium.md` has all of it.
+
+    Terminates on a collision; truncates at the goal, the road's end, or when the time is up.
+    """
+
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 3}
+
+    def __init__(
+        self,
+        scenario: str | Scenario = "highway",
+        *,
+        config: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+        **settings: Any,
+    ) -> None:
+        """scenario: a name, a FILE.toml or your own; config, settings: see `config.EnvConfig`.
+
+        Raises ValueError, by name, for what is no setting or cannot be done on this road.
+        """
+        self._config = read(config, settings)
+        self.scenario = self._config.road(scenario)
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(f"render_mode {render_mode!r} is not one of: rgb_array, human")
+        self.render_mode = render_mode
+        seen = self._config.observation
+        asked = {k: list(v) if k == "features" else v for k, v in msgspec.structs.asdict(seen).items()}
+        kind = type(seen).__struct_config__.tag
+        self._world = road_world(self.scenario, {"type": kind, **asked}, render_mode, self._config.decision_hz)
+        self._features = isinstance(seen, Features)
+        self.metadata = {**self.metadata, "render_fps": self._config.decision_hz}
+        self.action_space: Any = action_space()
+        self.observation_space = (
+            features_space() if isinstance(seen, Features) else _bounded(self._world.env.observation_space, seen)
+        )
+        self._episodes = Episodes(self._world, self.scenario, self._config)
+        self._running = False
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """A new episode: with a seed that very one, without one the next of this environment's own.
+
+        options: {"directive": {...}}, for this episode. Raises ValueError for others.
+        """
+        super().reset(seed=seed)
+        directive = directive_of(options, self.scenario)
+        number = int(self.np_random.integers(SEEDS)) if seed is None else seed
+        self._episodes.begin(_ALL, np.array([number]), directive)
+        self._running = True
+        if self.render_mode == "human":
+            self.render()
+        return self._observed(), self._info()
+
+    def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """One decision. Raises ValueError for what is no action, ResetNeeded before `reset` and after the end."""
+        if not self._running:
+            raise ResetNeeded("no episode is running: call reset() first, and again after its end")
+        done = self._episodes.advance(np.array([action_of(action)]))
+        terminated, truncated = bool(done.terminated[0]), bool(done.truncated[0])
+        self._running = not (terminated or truncated)
+        if self.render_mode == "human":
+            self.render()
+        return self._observed(), float(done.earned[0]), terminated, truncated, self._info()
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """(5,) what may be chosen now, as MaskablePPO asks for it; the same as `info["action_mask"]`."""
+        open_now: NDArray[np.bool_] = self._episodes.usable()[0]
+        return open_now
+
+    def direct(
+        self, lane: int | None = None, speed_mps: float | None = None, headway_s: float = 1.5, overtake: bool = False
+    ) -> None:
+        """Set the directive from now to the end of the episode. Raises ValueError for a lane that does not exist."""
+        said = {"lane": lane, "speed_mps": speed_mps, "headway_s": headway_s, "overtake": overtake}
+        directive: Directive = convert(said, Directive)
+        check_lane(self.scenario, directive)
+        self._episodes.direct(0, directive)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """With `render_mode="rgb_array"`: (height, width, 3) of the road from above, drawn without a screen."""
+        return self._world.env.render()
+
+    def close(self) -> None:
+        self._world.env.close()
+
+    def _observed(self) -> Observation:
+        if self._features:
+            return np.asarray(self._episodes.observe()[0])
+        return np.asarray(self._world.env.observation_type.observe())
+
+    def _info(self) -> dict[str, Any]:
+        return one_of(self._episodes.told(), 0)
+
+
+def _bounded(space: Any, seen: Kinematics | OccupancyGrid) -> Any:
+    """highway-env's space of this observation, which is unbounded, with bounds where clipping gives it some."""
+    scaled = seen.normalize if isinstance(seen, Kinematics) else not seen.as_image
+    if scaled and seen.clip and seen.features_range is None and set(seen.features) <= BOUNDED:
+        return gymnasium.spaces.Box(-1.0, 1.0, space.shape, np.float32)
+    return space
