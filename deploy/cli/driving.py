@@ -83,6 +83,9 @@ def run(
     cockpit_port: Annotated[
         int, typer.Option(min=0, max=65535, help="Where it is served; if that is held, or 0: any free port.")
     ] = 8000,
+    foxglove: Annotated[
+        bool, typer.Option("--foxglove", help="Serve Foxglove and Lichtblick, too, on this computer only.")
+    ] = False,
     record: Annotated[
         Path | None,
         typer.Option(metavar="FILE.mcap", help="Record to this file.", show_default="runs/.../recording.mcap"),
@@ -129,6 +132,7 @@ def run(
                 noise_mps=noise_mps,
                 dropout=dropout,
                 cockpit_port=cockpit_port if cockpit else None,
+                foxglove=foxglove,
                 record=record,
                 record_max_mb=record_max_mb,
                 model=ModelOptions(name=model, base_url=base_url, budget_s=budget_s, max_tokens=max_tokens),

@@ -10,26 +10,20 @@ import time
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
+from deploy.record.channels import CHANNELS, Translator
 from deploy.record.container import McapFile
-from deploy.record.encoding import json_schema, to_json
 from deploy.record.reader import METADATA
-from deploy.record.scene import CHANNELS, SCHEMAS, Scene
 from deploy.run.processes import RECORDING
 from fast_node.mask.vocabulary import VERSION as MASK_VERSION
 from fast_node.policies.attention import SHIPPED
 from schemas.runtime.bus import Arrival
 from schemas.runtime.clock import NS
 from schemas.runtime.process import revision
-from schemas.wire.codec import Fault, decode, decode_command
-from schemas.wire.messages import SCHEMA_VERSION, Message, Observation
-from schemas.wire.topics import COMMAND, TOPICS, Topic
+from schemas.wire.messages import SCHEMA_VERSION, Message
 
 CHUNK_NS = NS
 """A chunk a second: what a killed recorder loses at most."""
-_TOPICS: dict[str, Topic[Any]] = {topic.name: topic for topic in TOPICS}
-_LATEST_NS = 2**64 - 1
 
 
 class FullError(Exception):
@@ -46,19 +40,15 @@ class Recorder:
             offset = time.time_ns() - time.monotonic_ns()
             file.add_metadata(METADATA, {**about, "clock_offset_ns": str(offset)})
         self._offset_ns = int(file.metadata[METADATA]["clock_offset_ns"])
-        self._channels = {
-            topic.name: file.channel(f"/{topic.name}", f"fastslow.{topic.type.__name__}", json_schema(topic.type))
-            for topic in TOPICS
-        } | {name: file.channel(name, kind, SCHEMAS[kind]) for name, kind in CHANNELS.items()}
-        self._scene = Scene()
-        self._epoch = 0
+        self._channels = {name: file.channel(*channel) for name, channel in CHANNELS.items()}
+        self._translator = Translator(self._offset_ns)
         self._cut_ns = 0
         self._log_ns = 0
         self.metrics = {"messages": 0.0, "refused": 0.0, "mb": 0.0, "cpu_s": 0.0}
 
     def arrived(self, arrival: Arrival, now_ns: int) -> None:
         """Keep what came, and was seen by us at `now_ns` of CLOCK_MONOTONIC."""
-        message = self._message(arrival.topic, arrival.payload, now_ns)
+        message = self._translator.message(arrival, now_ns)
         if message is None:
             self.metrics["refused"] += 1
         else:
@@ -81,28 +71,10 @@ class Recorder:
         return self._log_ns
 
     def _keep(self, topic: str, message: Message, log_time: int) -> None:
-        sent = min(max(message.stamp_ns + self._offset_ns, 0), _LATEST_NS)
-        self._file.add(self._channels[topic], log_time, sent, to_json(message))
+        sent_ns = self._translator.sent_ns(message)
+        for channel, data in self._translator.parts(topic, message):
+            self._file.add(self._channels[channel], log_time, sent_ns, data)
         self.metrics["messages"] += 1
-        if isinstance(message, Observation):
-            self._epoch = message.epoch
-            for drawn_topic, drawn in self._scene.draw(message, sent):
-                self._file.add(self._channels[drawn_topic], log_time, sent, drawn)
-
-    def _message(self, name: str, payload: bytes, now_ns: int) -> Message | None:
-        topic = _TOPICS.get(name)
-        if topic is None:
-            return None
-        try:
-            message: Message = decode(topic, payload)
-            return message
-        except Fault:
-            if topic is not COMMAND:
-                return None
-        try:  # plain text
-            return decode_command(payload, fallback_id=now_ns // 1000, epoch=self._epoch, now_ns=now_ns)
-        except Fault:
-            return None
 
 
 def describe(about: dict[str, str], policy: str) -> dict[str, str]:

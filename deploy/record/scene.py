@@ -79,6 +79,10 @@ class Scene:
     def __init__(self) -> None:
         self._drawn: tuple[Any, ...] = ()
 
+    def forget(self) -> None:
+        """Draw the road again, whether it differs or not."""
+        self._drawn = ()
+
     def draw(self, observation: Observation, time_ns: int) -> list[tuple[str, bytes]]:
         """(topic, message) for an observation at `time_ns` since 1970."""
         stamp = f'{{"sec":{time_ns // NS},"nsec":{time_ns % NS}}}'

@@ -22,6 +22,8 @@ from slow_node.llm.endpoint import where
 
 TCP_HOST = "127.0.0.1"
 DEFAULT_PORT = 7447
+FOXGLOVE_PORT = 8765
+"""Where Foxglove and Lichtblick look first."""
 NAMES = ("sim", "fast", "slow", "llm", "record")
 
 
@@ -113,6 +115,8 @@ class RunOptions:
     """A folder for the stamps of every tick of sim and fast."""
     cockpit_port: int | None = None
     """Where the page is served that shows the run, on loopback; None: there is none; 0: any free port."""
+    foxglove: bool = False
+    """Serve Foxglove and Lichtblick, on loopback."""
     record: Path | None = None
     """Where the recording goes; None: `RECORDING` in the run's folder."""
     model: ModelOptions = ModelOptions()
@@ -222,6 +226,8 @@ def process_table(options: RunOptions, model: Model, sockets: Path, folder: Path
         table.insert(0, _embedded(model))
     if options.cockpit_port is not None:
         table.append(_cockpit(options.cockpit_port, sockets))
+    if options.foxglove:
+        table.append(_viewers(sockets))
     if folder is not None:
         told = {"sim": sim, "fast": fast, "slow": slow}
         table.insert(0, _recorder(options, sockets, folder, told))
@@ -266,6 +272,21 @@ def _cockpit(port: int, sockets: Path) -> Process:
     return Process(
         name="cockpit",
         argv=python_module("deploy.cockpit", page),
+        critical=False,
+        heartbeat_s=30.0,
+        start_s=SLOW_START_S,
+        nice=10,
+    )
+
+
+def _viewers(sockets: Path) -> Process:
+    """For Foxglove and Lichtblick: what the cockpit is for a browser."""
+    return Process(
+        name="foxglove",
+        argv=python_module(
+            "deploy.record.live",
+            {"bus": {"mode": "client", "connect": [_socket(sockets, "bus")]}, "port": free_port_from(FOXGLOVE_PORT)},
+        ),
         critical=False,
         heartbeat_s=30.0,
         start_s=SLOW_START_S,

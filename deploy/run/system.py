@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
+from importlib.util import find_spec
 from pathlib import Path
 
 from deploy.run.launch import temporary_folder
@@ -60,6 +61,8 @@ def run_system(
         road_of(options.scenario)  # a missing file is told before there is a run
         if options.record:
             _try_to_write(options.record)
+        if options.foxglove and find_spec("foxglove") is None:
+            raise ConfigError("foxglove-sdk is missing: pip install 'fastslow[foxglove]'")
         with (
             temporary_folder() as sockets,
             open_bus(BusConfig(mode="router", listen=router_endpoints(sockets, port))) as bus,
@@ -143,7 +146,7 @@ class _Run:
         self._live = Live()
         self._spoken_for_s = 0.0
         self._refused, self._refused_told_s = 0, 0.0
-        self._page = ""
+        self._shown: set[str] = set()
         self._opened_ns = time.monotonic_ns()
         self._began_ns: int | None = None
         self._summary = Summary(options.scenario, options.seed, self._opened_ns)
@@ -223,7 +226,7 @@ class _Run:
         for status in self._status.take():
             self._supervisor.beat(status.node, status.pid)
             self._live.status(status)
-            self._show_page(status)
+            self._tell_where_shown(status)
             self._summary.status(status)
         for observation in self._observations.take():
             self._live.observation(observation)
@@ -251,11 +254,12 @@ class _Run:
             self._notice(f"{total - self._refused} payloads refused, the last on {self._bus.last_fault[:200]}")
             self._refused, self._refused_told_s = total, now_s
 
-    def _show_page(self, status: Status) -> None:
-        """Tell where the cockpit is, once it is there."""
-        if status.node == "cockpit" and not self._page:
-            self._page = f"http://{TCP_HOST}:{status.metrics.get('port', 0):.0f}/"
-            self._notice(f"the car is shown at {self._page}")
+    def _tell_where_shown(self, status: Status) -> None:
+        """Once each is there: where a browser finds the cockpit, and Foxglove the car."""
+        shown = {"cockpit": "the car is shown at http://{}/", "foxglove": "Foxglove and Lichtblick connect to ws://{}"}
+        if status.node in shown and status.node not in self._shown:
+            self._shown.add(status.node)
+            self._notice(shown[status.node].format(f"{TCP_HOST}:{status.metrics.get('port', 0):.0f}"))
 
     def _speak_for_the_probed(self) -> None:
         """Twice a second the heartbeat of those that speak no zenoh, so that everybody sees every process."""
