@@ -3,8 +3,22 @@
 `gymnasium.make("fastslow:fastslow/Highway-v0")` imports it by itself. docs/gymnasium.md has the names and settings.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
 from deploy.environments.register import ENVIRONMENTS, register
+
+if TYPE_CHECKING:
+    from deploy.environments.parallel import DrivingParallelEnv
+
+__all__ = ["ENVIRONMENTS", "parallel_env"]
 
 register()
 
-__all__ = ["ENVIRONMENTS"]
+
+def parallel_env(scenario: str = "highway", cars: int = 3, **settings: Any) -> DrivingParallelEnv:
+    """Several cars on one road, by PettingZoo's parallel API. Raises ImportError without extra `train`."""
+    from deploy.environments.parallel import DrivingParallelEnv
+
+    return DrivingParallelEnv(scenario, cars, **settings)
