@@ -22,6 +22,7 @@ from deploy.cli.options import (
     ModelName,
     NoiseM,
     NoiseMps,
+    Ray,
     Traffic,
     names,
     readable_ends,
@@ -140,15 +141,26 @@ def evaluate(
             help="Film the first episode of every row there, and the one with the lowest ride score.",
         ),
     ] = None,
+    keep: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.jsonl",
+            dir_okay=False,
+            help="Keep what was driven there, and drive only what is missing: for evaluations that may be interrupted.",
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Rows side by side, each in a process.", show_default="one by one")
+    ] = None,
+    ray: Ray = None,
     as_json: Json = False,
 ) -> None:
     """Drive episodes on seeds that training never saw, and print what came of it with 95 % intervals."""
     if plot is not None and len(set(wish or ())) < 2:
         raise typer.BadParameter("needs two or more wishes: --wish 20 --wish 25", param_hint="'--plot'")
-    if plot is not None and not plot.parent.is_dir():
-        raise typer.BadParameter(f"no folder {plot.parent}: make it first", param_hint="'--plot'")
-    if rows is not None and not rows.parent.is_dir():
-        raise typer.BadParameter(f"no folder {rows.parent}: make it first", param_hint="'--rows'")
+    for option, file in (("--plot", plot), ("--rows", rows), ("--keep", keep)):
+        if file is not None and not file.parent.is_dir():
+            raise typer.BadParameter(f"no folder {file.parent}: make it first", param_hint=f"'{option}'")
     checkpoints = checkpoint or []
     pair = pair_of(checkpoints, alone=not (agent or policy or everything))
     with readable_ends():
@@ -160,7 +172,9 @@ def evaluate(
         from deploy.lab import report
         from deploy.lab.agents import AGENTS
         from deploy.lab.episodes import Directive
+        from deploy.lab.farm import Farm
         from deploy.lab.paired import Episode, compare, paired_table, write_rows
+        from deploy.lab.rows import Kept
         from sim_node.scenarios import SCENARIOS
 
         def film(place: Mapping[str, Any], results: Any, again: Any) -> None:
@@ -190,6 +204,8 @@ def evaluate(
             progress=lambda text: typer.echo(text, err=True),
             each=each,
             film=None if video is None else film,
+            farm=Farm(jobs or 0, ray),
+            kept=Kept(keep),
         )
         if rows is not None:
             write_rows(each, rows)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from deploy.cli.options import EXITS, Json, readable_ends
+from deploy.cli.options import EXITS, Json, Ray, readable_ends
 from deploy.cli.settings import read_config, settings
 
 commands = typer.Typer()
@@ -156,6 +156,7 @@ def study(
     ] = None,
     steps: Annotated[int, typer.Option(min=256, help="Decisions per run.")] = 100_000,
     jobs: Annotated[int, typer.Option(min=1, help="Runs side by side.")] = 2,
+    ray: Ray = None,
     quick: Annotated[
         bool,
         typer.Option(
@@ -171,6 +172,7 @@ def study(
 ) -> None:
     """Compare our learner with PPO, DQN and A2C over several seeds; run again to go on."""
     with readable_ends():
+        from deploy.lab.farm import Farm
         from deploy.lab.study.cells import ALGORITHMS, ROADS
         from deploy.lab.study.matrix import run_search, run_study
         from fast_node.policies.mlp import BASELINES, VARIANTS
@@ -185,7 +187,7 @@ def study(
                 scenarios=scenario or ROADS,
                 seeds=seeds or 1,
                 steps=steps,
-                jobs=jobs,
+                farm=Farm(jobs, ray),
                 as_json=as_json,
             )
         else:
@@ -196,7 +198,7 @@ def study(
                 scenarios=scenario or ROADS,
                 seeds=range(seeds or 5),
                 steps=steps,
-                jobs=jobs,
+                farm=Farm(jobs, ray),
                 quick=quick,
                 as_json=as_json,
             )

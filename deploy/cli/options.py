@@ -52,6 +52,15 @@ MaxTokens = Annotated[
         min=1, metavar="N", help="Of the model's answer, its thoughts included.", show_default="2000; embedded 120"
     ),
 ]
+Ray = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Spread the work over a Ray cluster: HOST:PORT, auto for the one this machine belongs to, or local to "
+        "start one here.",
+        show_default="none: here",
+    ),
+]
 Full = Annotated[bool, typer.Option("--full", help="All of every prompt and answer.")]
 Json = Annotated[bool, typer.Option("--json", help="Data as JSON on stdout; everything else on stderr.")]
 

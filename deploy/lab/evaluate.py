@@ -5,20 +5,19 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from deploy.lab.agents import LANGUAGE, USE_OURS, Agent, behind_the_mask, drive, trained_as
+from deploy.lab.agents import LANGUAGE, USE_OURS, trained_as
 from deploy.lab.episodes import FIRST_SEED, Directive
-from deploy.lab.language_driver import drive_dilu, memory, running_model
-from deploy.lab.orders import BEST, best_order
+from deploy.lab.farm import Farm
+from deploy.lab.orders import BEST
 from deploy.lab.paired import Episode, episode_of
+from deploy.lab.rows import Cell, Kept, driven
 from deploy.lab.statistics import wilson95
 from schemas.runtime.process import ConfigError
 from sim_node.results import EpisodeResult, summarise
 from sim_node.scenario_file import find_scenario
-from sim_node.scenarios import Scenario
 
 SCHEMA = "fastslow.evaluate/1"
 Film = Callable[[Mapping[str, Any], Sequence[EpisodeResult], Callable[..., list[EpisodeResult]]], None]
@@ -46,6 +45,8 @@ def evaluate_all(
     progress: Callable[[str], None] = lambda _: None,
     each: list[Episode] | None = None,
     film: Film | None = None,
+    farm: Farm | None = None,
+    kept: Kept | None = None,
 ) -> dict[str, Any]:
     """A row per scenario, agent and wished speed [m/s] (None: as the directive has it), over the seeds from
     `first_seed`; per scenario the seeds that nobody survived. The result's own `wish_mps` is None for several wishes.
@@ -57,7 +58,8 @@ def evaluate_all(
     policies the one whose policy is in `checkpoint` drives, or ours. Raises `ConfigError` for a checkpoint that none
     of the agents uses, and as `drive` does, which noise_m, noise_mps and dropout are for. Every episode is appended to
     `each`. `film` is called for every row. Raises ValueError for one of a driver of `LANGUAGE`, whose model is not
-    asked the same twice.
+    asked the same twice. `farm`: where the rows are driven (None: here, one after the other); `kept`: what has been
+    driven before, and where it is kept.
     """
     own = trained_as(checkpoint) if checkpoint else "ours"
     if agents is None:
@@ -75,61 +77,49 @@ def evaluate_all(
     for agent in agents:
         if agent in LANGUAGE:
             _refuse_for_language(agent, conditions, film is not None)
-    rows, unsurvived = [], {}
-    for scenario in [find_scenario(spec) for spec in scenarios]:
-        name = scenario.name
-        road = scenario.varied(traffic, density)
-        died = set(range(episodes))
-        drivers = [*((agent, False) for agent in agents), *((spec, True) for spec in policies)]
-        for (agent, is_policy), wish_mps in itertools.product(drivers, wishes_mps):
-            place = {"scenario": name, "agent": agent, "wish_mps": wish_mps, "directive": directive}
-            progress(f"{agent} on {name}" + ("" if wish_mps is None else f", {wish_mps:g} m/s wished"))
-            more: dict[str, Any] = {}
-            if agent in LANGUAGE and not is_policy:
-                results, more["llm"] = _drive_language(agent, road, seeds, directive, wish_mps)
-            else:
-                who: str | Agent = behind_the_mask(agent) if is_policy else agent
-                if agent == BEST:
-                    more["order"] = best_order(road, wish_mps=wish_mps, directive=directive, **conditions)
-                    who = behind_the_mask(more["order"])
-                again = partial(
-                    drive,
-                    who,
-                    road,
-                    seeds,
-                    checkpoint=None if is_policy or agent == BEST else checkpoint,
-                    wish_mps=wish_mps,
-                    directive=directive,
-                    **conditions,
-                )
-                results = again()
-                if film is not None:
-                    film({**place, "first_seed": first_seed, "directive_at_s": directive_at_s}, results, again)
-            if each is not None:
-                each += [episode_of(place, seed, r) for seed, r in zip(seeds, results, strict=True)]
-            died &= {i for i, r in enumerate(results) if r.collided}
-            rows.append(
-                {
-                    "agent": agent,
-                    "scenario": name,
-                    "speed_set": scenario.speed_set,
-                    "wish_mps": wish_mps,
-                    "first_seed": first_seed,
-                    "density": density,
-                    "traffic": list(traffic),
-                    **conditions,
-                    "success_ci95": wilson95(sum(r.success for r in results), episodes),
-                    **_numbers(summarise(results)),
-                    **more,
-                }
-            )
-        unsurvived[name] = sorted(first_seed + i for i in died)
+    drivers = [*((agent, False) for agent in agents), *((spec, True) for spec in policies)]
+    cells = [
+        Cell(
+            agent=agent,
+            is_policy=is_policy,
+            scenario=scenario.varied(traffic, density),
+            seeds=seeds,
+            wish_mps=wish_mps,
+            directive=directive,
+            checkpoint=None if is_policy or agent == BEST else checkpoint,
+            conditions=conditions,
+        )
+        for scenario in [find_scenario(spec) for spec in scenarios]
+        for (agent, is_policy), wish_mps in itertools.product(drivers, wishes_mps)
+    ]
+    rows, died = [], {cell.scenario.name: set(range(episodes)) for cell in cells}
+    for cell, (results, more) in zip(cells, driven(cells, farm or Farm(), kept or Kept(None), progress), strict=True):
+        if film is not None:
+            film({**cell.place, "first_seed": first_seed, "directive_at_s": directive_at_s}, results, cell.again(more))
+        if each is not None:
+            each += [episode_of(cell.place, seed, r) for seed, r in zip(seeds, results, strict=True)]
+        died[cell.scenario.name] &= {i for i, r in enumerate(results) if r.collided}
+        rows.append(
+            {
+                "agent": cell.agent,
+                "scenario": cell.scenario.name,
+                "speed_set": cell.scenario.speed_set,
+                "wish_mps": cell.wish_mps,
+                "first_seed": first_seed,
+                "density": density,
+                "traffic": list(traffic),
+                **conditions,
+                "success_ci95": wilson95(sum(r.success for r in results), episodes),
+                **_numbers(summarise(results)),
+                **more,
+            }
+        )
     return {
         "schema": SCHEMA,
         "directive": directive,
         "wish_mps": wishes_mps[0] if len(wishes_mps) == 1 else None,
         "rows": rows,
-        "unsurvived": unsurvived,
+        "unsurvived": {name: sorted(first_seed + i for i in those) for name, those in died.items()},
     }
 
 
@@ -141,17 +131,6 @@ def _refuse_for_language(agent: str, conditions: dict[str, Any], filmed: bool) -
         raise ValueError(f"{agent} sees everything as it is: leave noise and dropout out")
     if filmed:
         raise ValueError(f"{agent} drives otherwise each time: leave --video out")
-
-
-def _drive_language(
-    agent: str, scenario: Scenario, seeds: Sequence[int], directive: Directive, wish_mps: float | None
-) -> tuple[list[EpisodeResult], dict[str, Any]]:
-    """The episodes of a driver of `LANGUAGE`, and what its model did."""
-    if directive != "hurry" or wish_mps is not None:
-        raise ValueError(f"{agent} knows no directive but hurry, and no other speed to wish for")
-    with running_model() as ask:
-        results, metrics = drive_dilu(scenario, seeds, paused=agent == "dilu-paused", ask=ask, bank=memory())
-    return results, metrics.summary()
 
 
 def _numbers(metrics: dict[str, float]) -> dict[str, float | None]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -151,6 +152,23 @@ def run_cell(cell: Cell, folder: Path) -> dict[str, Any]:
     path.with_suffix(".new").write_text(json.dumps(result))
     os.replace(path.with_suffix(".new"), path)
     return result
+
+
+def run_away(cell: Cell) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """`run_cell` where the study's folder may not be at hand: its result, and its files by name."""
+    with tempfile.TemporaryDirectory(prefix="fastslow-cell-") as name:
+        folder = Path(name)
+        result = run_cell(cell, folder)
+        return result, {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def keep(cell: Cell, files: dict[str, bytes], folder: Path) -> None:
+    """Write the files of `run_away`, the result last and at once."""
+    last = _result_path(cell, folder)
+    for name in sorted(files, key=lambda name: name == last.name):
+        new = folder / f"{name}.new"
+        new.write_bytes(files[name])
+        os.replace(new, folder / name)
 
 
 def _identity(cell: Cell) -> dict[str, Any]:

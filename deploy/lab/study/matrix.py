@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import multiprocessing
-import os
 import shutil
-import signal
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
 from statistics import mean
@@ -19,15 +15,17 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from deploy.lab.study.cells import ALGORITHMS, EPISODES, ROADS, SEEDS, STEPS, Cell, cells_of, finished, run_cell
+from deploy.lab.farm import Farm
+from deploy.lab.study.cells import ALGORITHMS, EPISODES, ROADS, SEEDS, STEPS, Cell, cells_of, finished, keep, run_away
 from deploy.lab.study.report import claims_of, plot, search_rows, search_table, summary_of, table
 from fast_node.policies.mlp import BASELINES, VARIANTS
-from schemas.runtime.process import ConfigError, die_with_parent
+from schemas.runtime.process import ConfigError
 
 SCHEMA = "fastslow.study/1"
 QUICK_SCENARIO, QUICK_SEEDS, QUICK_STEPS = "two-way", (0, 1, 2), 10_000
 QUICK_RETURN = 3.0
 """`--quick` fails below this mean return; seeds 0 to 4 reached 3.34 each, and had -6.6 to 2.5 before they learnt."""
+AT_HOME = Farm(jobs=2)
 SEARCH_SCHEMA, SEARCH_SEED = "fastslow.search/1", 100
 
 
@@ -39,11 +37,11 @@ def run_study(
     scenarios: Sequence[str] = ROADS,
     seeds: Sequence[int] = SEEDS,
     steps: int = STEPS,
-    jobs: int = 2,
+    farm: Farm = AT_HOME,
     quick: bool = False,
     as_json: bool = False,
 ) -> int:
-    """Run what is missing of the matrix, `jobs` cells side by side; write study.json and study.png; print the table.
+    """Run what is missing of the matrix on `farm`; write study.json and study.png; print the table.
 
     Finished cells are kept in `out`/cells and skipped. `quick`: our learner on one road, 10,000 decisions, always anew
     and in `out`/quick alone, which is emptied first; the exit code is 1 if it learns too little. Raises ValueError for
@@ -60,7 +58,7 @@ def run_study(
     if quick and out.exists():
         shutil.rmtree(out)
     out.mkdir(parents=True, exist_ok=True)
-    results = run_cells(cells, out / "cells", jobs)
+    results = run_cells(cells, out / "cells", farm)
     rows = summary_of(results)
     study = {"schema": SCHEMA, "cells": results, "summary": rows, "claims": claims_of(rows)}
     (out / "study.json").write_text(json.dumps(study, indent=1) + "\n")
@@ -81,7 +79,7 @@ def run_search(
     variants: Sequence[str] = VARIANTS,
     seeds: int = 1,
     steps: int = STEPS,
-    jobs: int = 2,
+    farm: Farm = AT_HOME,
     as_json: bool = False,
 ) -> int:
     """Try each baseline's `TRIALS` on seeds that the study does not use, and say which settings earn most.
@@ -97,7 +95,7 @@ def run_search(
 
     plain = cells_of(algorithms, scenarios, [SEARCH_SEED + k for k in range(seeds)], steps, variants=variants)
     cells = [replace(cell, trial=trial) for cell in plain for trial in TRIALS[cell.algorithm]]
-    results = run_cells(cells, out / "cells", jobs)
+    results = run_cells(cells, out / "cells", farm)
     rows = search_rows(results)
     search = {"schema": SEARCH_SCHEMA, "cells": results, "rows": rows}
     (out / "search.json").write_text(json.dumps(search, indent=1) + "\n")
@@ -111,37 +109,23 @@ def needed(package: str, extra: str) -> None:
         raise ConfigError(f"{package} is missing: pip install 'fastslow[{extra}]'")
 
 
-def run_cells(cells: Sequence[Cell], folder: Path, jobs: int) -> list[dict[str, Any]]:
+def run_cells(cells: Sequence[Cell], folder: Path, farm: Farm) -> list[dict[str, Any]]:
     """The results of all cells, in order; those that have none yet are run. Ctrl-C ends the processes."""
     folder.mkdir(parents=True, exist_ok=True)
     results = {cell: result for cell in cells if (result := finished(cell, folder)) is not None}
     todo = [cell for cell in cells if cell not in results]
-    if todo:
-        os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"  # read by the processes to come
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-        )
-        pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), initializer=_ends_quietly)
-        try:
-            with Progress(*columns, console=Console(file=sys.stderr), speed_estimate_period=3600.0) as bar:
-                task = bar.add_task("study", total=len(cells), completed=len(results))
-                running = {pool.submit(run_cell, cell, folder): cell for cell in todo}
-                for future in as_completed(running):
-                    results[running[future]] = future.result()
-                    bar.update(task, advance=1, description=running[future].name)
-        except BaseException:
-            for process in multiprocessing.active_children():
-                process.terminate()
-            raise
-        finally:
-            pool.shutdown(cancel_futures=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(file=sys.stderr), speed_estimate_period=3600.0, disable=not todo) as bar:
+        task = bar.add_task("study", total=len(cells), completed=len(results))
+        for place, (result, files) in farm.run(run_away, [(cell,) for cell in todo]):
+            cell = todo[place]
+            keep(cell, files, folder)
+            results[cell] = result
+            bar.update(task, advance=1, description=cell.name)
     return [results[cell] for cell in cells]
-
-
-def _ends_quietly() -> None:
-    die_with_parent()
-    signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -12,6 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from deploy.cli.app import app
+from deploy.lab.farm import Farm
 from deploy.lab.statistics import t_interval, wilson95
 from deploy.lab.study import cells, matrix
 from deploy.lab.study.cells import Cell, cells_of, finished, run_cell
@@ -257,8 +258,8 @@ def test_the_study_skips_finished_cells_and_not_those_of_other_settings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     result = run_cell(TOY, tmp_path)
-    monkeypatch.setattr(matrix, "ProcessPoolExecutor", None)  # none may be started
-    assert run_cells([TOY], tmp_path, jobs=1) == [json.loads(json.dumps(result))]
+    monkeypatch.setattr(matrix, "run_away", None)  # none may be run
+    assert run_cells([TOY], tmp_path, Farm()) == [json.loads(json.dumps(result))]
     assert [step for step, _ in result["curve"]] == [0, 1024]
     assert finished(Cell("ours", "masked", "two-way", 0, 512, 2), tmp_path) is None
 
@@ -368,7 +369,7 @@ def test_the_quick_study_finds_no_cell_to_resume_and_leaves_a_full_study_alone(
         file.write_text("{}")
     found: list[Path] = []
 
-    def run(todo: Any, folder: Path, jobs: int) -> list[dict[str, Any]]:
+    def run(todo: Any, folder: Path, farm: Farm) -> list[dict[str, Any]]:
         found.extend(folder.parent.rglob("*"))
         return [result("ours", 9.0, seed) for seed in range(3)]
 
