@@ -1,4 +1,5 @@
-"""`make faults`: causes the faults of `faults.toml`, one after the other, and writes `reports/faults.md` and `.json`.
+"""`make faults`: causes the faults of `faults.toml`, one after the other, and writes `reports/faults.md` and `.json`, and
+the table in ARCHITECTURE.md.
 
 A row passes where all its tests do. What a test has measured it says by `record_property("measured", ...)`.
 """
@@ -17,6 +18,9 @@ import pytest
 ROOT = Path(__file__).parents[1]
 TABLE = ROOT / "tests/faults.toml"
 REPORT = ROOT / "reports/faults.md"
+ARCHITECTURE = ROOT / "ARCHITECTURE.md"
+HEAD = "| what | what the ego does | who mends it |\n| --- | --- | --- |\n"
+"""Of the table there, which ends with a blank line."""
 
 
 def rows() -> list[dict[str, Any]]:
@@ -62,6 +66,14 @@ def judged(row: dict[str, Any], outcomes: Outcomes) -> dict[str, Any]:
     }
 
 
+def failures(page: str) -> str:
+    """ARCHITECTURE.md with its table of what dies as `faults.toml` has it."""
+    before, head, rest = page.partition(HEAD)
+    _, blank, after = rest.partition("\n\n")
+    lines = [f"| {row['part']} | {row['ego']} | {row['mends']} |" for row in rows() if "part" in row]
+    return before + head + "\n".join(lines) + blank + after
+
+
 def main() -> int:
     outcomes, table = Outcomes(), rows()
     tests = list(dict.fromkeys(test for row in table for test in row["tests"]))
@@ -75,6 +87,7 @@ def main() -> int:
         for r in result
     ]
     REPORT.write_text("\n".join(lines) + "\n")
+    ARCHITECTURE.write_text(failures(ARCHITECTURE.read_text()))
     passed = sum(r["verdict"] == "pass" for r in result)
     print(f"{passed} of {len(result)} rows pass: {REPORT.relative_to(ROOT)}")
     return 0 if passed == len(result) else 1

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tests.faults import ROOT, Outcomes, judged, rows
+from tests.faults import ARCHITECTURE, HEAD, ROOT, Outcomes, failures, judged, rows
 
 
 @pytest.mark.parametrize("row", rows(), ids=lambda row: row["row"])
@@ -31,3 +31,9 @@ def test_a_row_passes_where_all_its_tests_have_run_and_passed() -> None:
     del outcomes.of["b.py::test_z"]
     assert judged(row, outcomes)["measured"].endswith("not run: b.py")
     assert judged(row, outcomes)["verdict"] == "fail"
+
+
+def test_the_architectures_table_of_what_dies_is_made_of_these_rows() -> None:
+    page = ARCHITECTURE.read_text()
+    assert HEAD in page
+    assert failures(page) == page
