@@ -1,5 +1,5 @@
-"""`make faults`: causes the faults of `faults.toml`, one after the other, and writes `reports/faults.md` and `.json`, and
-the table in ARCHITECTURE.md.
+"""`make faults`: causes the faults of `faults.toml`, one after the other, and writes `reports/faults.md` and `.json`,
+and the table in ARCHITECTURE.md.
 
 A row passes where all its tests do. What a test has measured it says by `record_property("measured", ...)`.
 """
