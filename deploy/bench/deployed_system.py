@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from deploy.bench.machine import rss_mb
 from deploy.bench.progress import MeasurementError
-from deploy.run.processes import Model, Process, RunOptions, free_port, process_table, router_endpoints
+from deploy.run.processes import TCP_HOST, Model, Process, RunOptions, free_port, process_table, router_endpoints
 from deploy.run.supervisor import Supervisor
 from schemas.runtime.bus import BusConfig, ZenohBus, open_bus
 from schemas.runtime.realtime import Mode
@@ -31,13 +31,26 @@ START_S = 60.0
 class Deployment:
     """The system as `fastslow run` deploys it, without what `without` names."""
 
-    def __init__(self, folder: Path, realtime: Mode, *without: str, trace: bool) -> None:
+    def __init__(self, folder: Path, realtime: Mode, *without: str, trace: bool, watched: bool = False) -> None:
+        """watched: with the recorder, which writes into `folder`, and the cockpit."""
         self.sockets = Path(tempfile.mkdtemp(prefix="fastslow-"))
         self._port, llm = free_port(), free_port()
         self.model = Model(base_url=f"http://127.0.0.1:{llm}/v1", name="SmolLM2-135M-Instruct", embedded=True, port=llm)
-        options = RunOptions(port=self._port, realtime=realtime, without=without, trace=folder if trace else None)
+        cockpit_port = free_port() if watched else None
+        self.page = f"ws://{TCP_HOST}:{cockpit_port}/live" if watched else ""
+        """Where a page of the cockpit connects."""
+        self.metrics: dict[str, dict[str, float]] = {}
+        """Of each node, its newest."""
+        options = RunOptions(
+            port=self._port,
+            realtime=realtime,
+            without=without,
+            trace=folder if trace else None,
+            cockpit_port=cockpit_port,
+        )
         self._notices: list[str] = []
-        table = tuple(self._private(process) for process in process_table(options, self.model, self.sockets))
+        rows = process_table(options, self.model, self.sockets, folder if watched else None)
+        table = tuple(self._private(process) for process in rows)
         self._supervisor = Supervisor(table, folder, self._notices.append)
         self.bus: ZenohBus
         self.newest: Observation | None = None
@@ -73,6 +86,7 @@ class Deployment:
     def _read(self) -> None:
         for status in self._status.take():
             self._supervisor.beat(status.node, status.pid)
+            self.metrics[status.node] = status.metrics
         self.newest = next(iter(self._observations.take()), self.newest)
         for payload in self._actions.take():
             self.action_bytes = len(payload)

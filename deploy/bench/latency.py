@@ -22,7 +22,7 @@ from deploy.bench.deployed_system import Deployment
 from deploy.bench.latency_report import bus_paced_minus_back_to_back, included, targets
 from deploy.bench.latency_results import SCHEMA, TICKS_FOR_P999, histogram, row_of
 from deploy.bench.latency_samples import PARTS, PERIOD_NS, Paced, Samples, p50_p99, read_traces
-from deploy.bench.loads import LOADS, Load, loaded
+from deploy.bench.loads import BY_ITSELF, LOADS, Load, loaded
 from deploy.bench.machine import host, rss_mb
 from deploy.bench.pingpongs import PATIENCE_S, PingPongs, dora_command
 from deploy.bench.progress import MeasurementError, say
@@ -51,7 +51,7 @@ class Options:
     """What a user may choose. `seconds` is the paced time under each load."""
 
     seconds: float = 240.0
-    loads: tuple[Load, ...] = LOADS
+    loads: tuple[Load, ...] = BY_ITSELF
     realtime: Mode = "auto"
     peers: tuple[Transport, ...] = TRANSPORTS
     out: Path | None = None
@@ -93,7 +93,9 @@ def _paced(options: Options, load: Load, folder: Path, samples: Samples) -> None
     found: dict[str, tuple[list[int], ...]] = {}
     with ExitStack() as stack:
         system = stack.enter_context(
-            Deployment(folder, options.realtime, *(() if load == "llm" else ("llm",)), trace=True)
+            Deployment(
+                folder, options.realtime, *(() if load == "llm" else ("llm",)), trace=True, watched=load == "watched"
+            )
         )
         try:
             system.ready()
@@ -103,7 +105,9 @@ def _paced(options: Options, load: Load, folder: Path, samples: Samples) -> None
         except MeasurementError:
             _check_load(load, system)
         peers = stack.enter_context(PingPongs(folder, wanted, *samples.sizes, options.realtime))
-        did = stack.enter_context(loaded(load, system.model, folder, system.step))
+        did = stack.enter_context(loaded(load, system.model, folder, system.step, system.page))
+        if load == "watched":
+            system.until(lambda: all(_watched(system).values()), "a page with frames and a recording")
         system.watch(SETTLE_S)
         first = _next_tick_ns(system) + PERIOD_NS * 3
         for i, name in enumerate(peers.names, start=1):
@@ -119,6 +123,8 @@ def _paced(options: Options, load: Load, folder: Path, samples: Samples) -> None
             if (reply := peers.reply(name, system.step)) is not None:
                 found[name] = reply
         _check_load(load, system)
+        if load == "watched":
+            did |= _watched(system)
         memory = {name: system.rss_mb(name) for name in ("sim", "fast")}
         scheduling = {**{name: system.scheduling(name) for name in ("sim", "fast")}, **peers.scheduling}
     paced = samples.paced.setdefault(load, Paced())
@@ -138,9 +144,19 @@ def _paced(options: Options, load: Load, folder: Path, samples: Samples) -> None
 
 
 def _check_load(load: Load, system: Deployment) -> None:
-    """Raises `MeasurementError` if the language model died under its own load: the others are not under it then."""
-    if load == "llm" and system.lost_process == "llm":
-        raise MeasurementError(f"load llm: {system.lost}")
+    """Raises `MeasurementError` if what makes the load has died: the others are not under it then."""
+    if system.lost_process in {"llm": ("llm",), "watched": ("cockpit", "record")}.get(load, ()):
+        raise MeasurementError(f"load {load}: {system.lost}")
+
+
+def _watched(system: Deployment) -> dict[str, float]:
+    """How many pages look, how many frames they were shown, and how many messages were recorded."""
+    cockpit, recorder = (system.metrics.get(name, {}) for name in ("cockpit", "record"))
+    return {
+        "pages": cockpit.get("pages", 0.0),
+        "frames": cockpit.get("frames", 0.0),
+        "messages recorded": recorder.get("messages", 0.0),
+    }
 
 
 def _with_inference(took: list[int], inferred: list[int]) -> list[int]:
@@ -259,6 +275,8 @@ def run(options: Options) -> tuple[dict[str, Any], Path]:
             measure(_paced, seconds, load, "15hz")
     samples.block = ""
     for load in options.loads:
+        if load == "watched":  # there is no simulator to watch
+            continue
         measure(_back_to_back, options.seconds, load, "back-to-back")
     if samples.seen:
         try:

@@ -54,6 +54,11 @@ def targets(
                     1.25 if resolve(realtime) == "fifo" else 2.0,
                     invalid="the idle part was disturbed: its p99 is above the load's" if disturbed else "",
                 )
+        watched = by.get(("ours", "watched", "15hz"))
+        if watched is not None:
+            check("paced p50, load watched / none", watched.p50_us / ours.p50_us, 1.1)
+            check("paced p99, load watched / none", watched.p99_us / ours.p99_us, 1.1)
+            check("missed deadlines more, load watched", float(watched.misses - ours.misses), 0.0)
         for pace in ("15hz", "back-to-back"):
             dora = by.get(("dora", "none", pace))
             for what in ("bus", "ours"):
@@ -122,7 +127,7 @@ def lines(result: dict[str, Any]) -> Iterator[str]:
     yield ", ".join(f"{name} {number}" for name, number in versions.items() if number)
     yield from table(result["rows"])
     for row in result["absent"]:
-        yield f"{row['load']:<5} {row['pace']:<13} {row['what']:<12} absent: {row['why']}"
+        yield f"{row['load']:<7} {row['pace']:<13} {row['what']:<12} absent: {row['why']}"
     for load, paced in result["loads"].items():
         if paced["load"]:
             yield f"load {load}: " + ", ".join(f"{name} {value:g}" for name, value in paced["load"].items())

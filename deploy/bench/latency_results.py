@@ -145,7 +145,7 @@ def compared(result: dict[str, Any]) -> Iterator[str]:
         for name, label in (("p999_us", "p99.9"), ("max_us", "max"), ("misses", "misses")):
             one, other = ("-" if row[name][of] is None else f"{row[name][of]:.0f}" for of in ("a", "b"))
             said.append(f"{label} {one} -> {other}")
-        yield f"{row['load']:<5} {row['pace']:<13} {row['what']:<12} {'   '.join(said)}"
+        yield f"{row['load']:<7} {row['pace']:<13} {row['what']:<12} {'   '.join(said)}"
     for of, keys in (("a", result["only_a"]), ("b", result["only_b"])):
         if keys:
             yield f"only in {of}: {', '.join(keys)}"
@@ -181,13 +181,13 @@ def plot(result: dict[str, Any], path: Path) -> None:
 def table(rows: Sequence[dict[str, Any]]) -> list[str]:
     """The rows for people."""
     lines = [
-        f"{'load':<5} {'pace':<13} {'what':<12} {'n':>7} {'p50':>8} {'p90':>8} {'p99':>8} {'p99.9':>8} {'max':>8} "
+        f"{'load':<7} {'pace':<13} {'what':<12} {'n':>7} {'p50':>8} {'p90':>8} {'p99':>8} {'p99.9':>8} {'max':>8} "
         f"{'misses':>6}   (us)"
     ]
     for row in rows:
         p999 = "-" if row["p999_us"] is None else f"{row['p999_us']:.0f}"
         lines.append(
-            f"{row['load']:<5} {row['pace']:<13} {row['what']:<12} {row['n']:>7} {row['p50_us']:>8.0f} "
+            f"{row['load']:<7} {row['pace']:<13} {row['what']:<12} {row['n']:>7} {row['p50_us']:>8.0f} "
             f"{row['p90_us']:>8.0f} {row['p99_us']:>8.0f} {p999:>8} {row['max_us']:>8.0f} {row['misses']:>6}"
         )
     return lines

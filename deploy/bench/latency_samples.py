@@ -57,7 +57,7 @@ class Paced:
     def loaded(self, did: dict[str, float]) -> None:
         """Add what the load did in one more block."""
         for name, value in did.items():
-            self.load[name] = value if name == "threads" else round(self.load.get(name, 0) + value, 1)
+            self.load[name] = value if name in ("threads", "pages") else round(self.load.get(name, 0) + value, 1)
         if self.load.get("seconds"):
             self.load["tokens_per_s"] = round(self.load["tokens"] / self.load["seconds"], 1)
 

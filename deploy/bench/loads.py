@@ -19,8 +19,10 @@ from deploy.bench.progress import MeasurementError
 from deploy.run.launch import GRACE_S, children, environment
 from deploy.run.processes import Model
 
-Load = Literal["none", "cpu", "llm"]
-LOADS: tuple[Load, ...] = ("none", "cpu", "llm")
+Load = Literal["none", "cpu", "llm", "watched"]
+LOADS: tuple[Load, ...] = ("none", "cpu", "llm", "watched")
+BY_ITSELF: tuple[Load, ...] = ("none", "cpu", "llm")
+"""What is measured where nobody chooses. `watched`: with the recorder, and the cockpit with a page."""
 HOG = """
 import numpy as np
 from schemas.runtime.process import die_with_parent
@@ -28,13 +30,25 @@ die_with_parent()
 a = np.ones((1200, 1200), np.float32)
 while True: a @ a
 """
+PAGE = """
+import sys
+from websockets.sync.client import connect
+from schemas.runtime.process import die_with_parent
+die_with_parent()
+with connect(sys.argv[1], open_timeout=60) as page:
+    while True:
+        page.recv()
+        page.send('{"seen":1}')
+"""
+"""Takes every frame, as a browser's page does; what a browser draws is not in it."""
 
 
 @contextmanager
 def loaded(
-    load: Load, model: Model, folder: Path, meanwhile: Callable[[], None] = lambda: None
+    load: Load, model: Model, folder: Path, meanwhile: Callable[[], None] = lambda: None, page: str = ""
 ) -> Iterator[dict[str, float]]:
-    """Keeps the machine busy for the time of the block; yields what was done, complete at its end.
+    """Keeps the machine busy for the time of the block; yields what was done, complete at its end. `page`: where the
+    cockpit's pages connect.
 
     Raises `MeasurementError` if the load cannot be started, and at the end of the block if it did not last.
     """
@@ -52,6 +66,12 @@ def loaded(
             yield did
             if why := hog.trouble():
                 raise MeasurementError(f"load cpu: {why}")
+    elif load == "watched":
+        with children() as start:
+            watcher = start("page", (sys.executable, "-c", PAGE, page), folder / "load.log", env=environment())
+            yield did
+            if why := watcher.trouble():
+                raise MeasurementError(f"load watched: {why}")
     elif load == "llm":
         with asking(model, did, meanwhile):
             yield did

@@ -66,17 +66,20 @@ def _matplotlib(plot: Path | None) -> None:
     "  fastslow bench latency --seconds 20 --load none --peer floor --peer bus\n\n"
     "  fastslow bench latency --seconds 240 --json --plot latency.png\n\n"
     "  fastslow bench latency --seconds 900 --load llm --peer none\n\n"
+    "  fastslow bench latency --load none --load watched --peer none    (what do cockpit and recorder cost?)\n\n"
     "Loads: none; cpu, a thread per core of matrix products; llm, the embedded language model "
-    "answering without pause. Several loads take turns in blocks of a minute, or of a quarter of "
-    "--seconds, so that a machine that drifts does so for all of them. Peers that are not "
-    "installed are absent: pip install 'fastslow[bench]'. What dies is absent too, with the reason; "
+    "answering without pause; watched, the recorder and the cockpit with a page. Several loads take turns in blocks "
+    "of a minute, or of a quarter of --seconds, so that a machine that drifts does so for all of them. Peers that are "
+    "not installed are absent: pip install 'fastslow[bench]'. What dies is absent too, with the reason; "
     "the exit code is 1 only if ours or the floor is."
 )
 def latency(
     seconds: Annotated[float, typer.Option(min=2.0, help="Paced time under each load; p99.9 needs 200.")] = 240.0,
     load: Annotated[
         list[str] | None,
-        typer.Option(metavar="LOAD", help="none, cpu or llm; may be repeated.", show_default="all three"),
+        typer.Option(
+            metavar="LOAD", help="none, cpu, llm or watched; may be repeated.", show_default="the first three"
+        ),
     ] = None,
     peer: Annotated[
         list[str] | None,
@@ -96,11 +99,11 @@ def latency(
     """Time observation to action on the real processes, beside a floor, the bare bus and other transports."""
     from deploy.bench import latency as bench
     from deploy.bench import latency_report, latency_results
-    from deploy.bench.loads import LOADS
+    from deploy.bench.loads import BY_ITSELF, LOADS
     from deploy.bench.transports import TRANSPORTS
     from schemas.runtime.realtime import MODES
 
-    loads = _chosen(load, LOADS, "--load")
+    loads = _chosen(load or [*BY_ITSELF], LOADS, "--load")
     peers = () if peer == ["none"] else _chosen(peer, TRANSPORTS, "--peer")
     _chosen([realtime], MODES, "--realtime")
     _matplotlib(plot)

@@ -254,10 +254,10 @@ def test_the_text_says_what_the_result_does(measured: tuple[dict[str, Any], Path
     result = measured[0]
     said = "\n".join(latency_report.lines(result))
     for row in result["rows"]:
-        assert f"{row['load']:<5} {row['pace']:<13} {row['what']:<12} {row['n']:>7} {row['p50_us']:>8.0f}" in said
+        assert f"{row['load']:<7} {row['pace']:<13} {row['what']:<12} {row['n']:>7} {row['p50_us']:>8.0f}" in said
     for name, how in result["loads"]["none"]["scheduling"].items():
         assert f"{name} {how}" in said
-    assert "none  15hz          zmq          absent: " in said
+    assert "none    15hz          zmq          absent: " in said
     assert "sent after it was due, load none, p50/p99 us: floor " in said
     assert "parts of ours, load none, p50/p99 us: sim: encode and put " in said
     assert all(target["figure"] in said for target in result["targets"])
@@ -275,3 +275,14 @@ def test_the_saved_result_can_be_compared(measured: tuple[dict[str, Any], Path])
 @pytest.mark.realtime
 def test_the_picture_is_drawn(measured: tuple[dict[str, Any], Path]) -> None:
     assert (measured[1] / "picture.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.realtime
+def test_with_cockpit_and_recorder_the_page_gets_frames_and_messages_are_recorded(tmp_path: Path) -> None:
+    command = ("bench", "latency", "--seconds", "4", "--load", "watched", "--peer", "none", "--json", "--out", "out")
+    done = fastslow(*command, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert {(row["what"], row["load"], row["pace"]) for row in result["rows"]} == {("ours", "watched", "15hz")}
+    assert min(result["loads"]["watched"]["load"][name] for name in ("frames", "messages recorded")) > 0
+    assert (tmp_path / "out" / "recording.mcap").stat().st_size > 0

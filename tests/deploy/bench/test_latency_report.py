@@ -58,6 +58,15 @@ def test_a_plain_user_may_double_under_load(mode: str, reached: bool, monkeypatc
     assert judged(paced("ours"), paced("ours", "cpu", p99=1900.0))["paced p99, load cpu / none"] == (1.9, reached, True)
 
 
+def test_cockpit_and_recorder_may_cost_a_tenth_and_no_tick() -> None:
+    rows = (paced("ours", misses=1), paced("ours", "watched", p50=110.0, p99=1111.0, misses=2))
+    assert {figure: said for figure, said in judged(*rows).items() if "watched" in figure} == {
+        "paced p50, load watched / none": (1.1, True, True),
+        "paced p99, load watched / none": (1.111, False, True),
+        "missed deadlines more, load watched": (1.0, False, True),
+    }
+
+
 @pytest.mark.parametrize(("idle", "valid"), [(1250.0, True), (1251.0, False)])
 def test_a_ratio_to_a_disturbed_idle_part_is_not_reached(idle: float, valid: bool) -> None:
     _, reached, found = judged(paced("ours", p99=idle), paced("ours", "llm"))["paced p99, load llm / none"]
