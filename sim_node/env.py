@@ -305,9 +305,9 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
         """(5,) which actions do anything now: the lane exists here, one change at a time, speed within its bounds."""
         ego, bounds = self.ego, self.scenario.ego
         x, floor, ceiling = float(ego.position[0]), bounds.speed_floor_mps, bounds.speed_ceiling_mps
-        return np.array(
-            executor.able(self._gates, ego.target_speed, ego.target_lane, ego.previous_lane, x, floor, ceiling)
-        )
+        out = np.zeros(POLICY_ACTIONS, np.bool_)
+        executor.able(self._gates, ego.target_speed, ego.target_lane, ego.previous_lane, x, floor, ceiling, out)
+        return out
 
     def direct(
         self, lane: int = ANY_LANE, speed_mps: float = math.nan, headway_s: float = 1.5, overtake: bool = False

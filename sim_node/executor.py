@@ -16,6 +16,7 @@ from sim_node.scenarios.scenario import GATE_END, GATE_OPENS, GATE_RAMP, GATE_ST
 # numba freezes global ints, but does not know IntEnum members in arithmetic comparisons with plain ints.
 SLOW_DOWN = int(MetaAction.SLOW_DOWN)
 SPEED_UP = int(MetaAction.SPEED_UP)
+CRUISE = int(MetaAction.CRUISE)
 LEFT = int(MetaAction.LEFT)
 RIGHT = int(MetaAction.RIGHT)
 EMERGENCY_BRAKE = int(MetaAction.EMERGENCY_BRAKE)
@@ -102,16 +103,17 @@ def able(
     x: float,
     speed_floor: float,
     speed_ceiling: float,
-) -> list[bool]:
-    """Which of the five meta-actions do anything now: the lane exists here, one change at a time, speed within its
-    bounds. The arguments are those of `edit_set_points`."""
-    sides = [
-        target_lane + step == previous_lane
-        if previous_lane >= 0
-        else lane_beside(gates, target_lane, target_lane + step, x)
-        for step in (-1, 1)
-    ]
-    return [target_speed > speed_floor, True, target_speed < speed_ceiling, *map(bool, sides)]
+    out: Any,
+) -> None:
+    """Fill `out` (5,) with which meta-actions do anything now: the lane exists here, one change at a time, speed within
+    its bounds. The arguments are those of `edit_set_points`. Compiles with numba unchanged."""
+    out[SLOW_DOWN], out[CRUISE], out[SPEED_UP] = target_speed > speed_floor, True, target_speed < speed_ceiling
+    for action, step in ((LEFT, -1), (RIGHT, 1)):
+        aim = target_lane + step
+        if previous_lane >= 0:
+            out[action] = aim == previous_lane
+        else:
+            out[action] = lane_beside(gates, target_lane, aim, x)
 
 
 def acceleration_command(

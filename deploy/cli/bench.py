@@ -199,6 +199,40 @@ def sim(
     typer.echo(json.dumps(result) if as_json else bench.table(result))
 
 
+@app.command(epilog="Examples:\n\n  fastslow bench gym\n\n  fastslow bench gym --envs 64 --decision-hz 1 --json")
+def gym(
+    envs: Annotated[int, typer.Option(min=1, max=1024, help="Environments at once.")] = 16,
+    decision_hz: Annotated[int, typer.Option(help="Decisions a second, a divisor of 15.")] = 3,
+    variant: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="VARIANT",
+            help="vector, vector bare, sync, async, stock sync, stock async or parallel; may be repeated. The first is "
+            "compared with the others.",
+            show_default="all",
+        ),
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=0.1, help="Of a variant's turn.")] = 2.0,
+    turns: Annotated[int, typer.Option(min=1, help="Of each variant.")] = 5,
+    as_json: Json = False,
+) -> None:
+    """Compare our vector environment with Gymnasium's sync and async ones, of ours and of stock highway-env."""
+    from deploy.bench import gym as bench
+
+    def progress(doing: str) -> None:
+        typer.echo(f"fastslow: {doing}", err=True)
+
+    try:
+        result = bench.bench_gym(
+            envs=envs, decision_hz=decision_hz, seconds=seconds, turns=turns, names=variant or None, progress=progress
+        )
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    except ImportError as error:
+        raise _fail(f"{error.name} is missing: pip install 'fastslow[train]', or choose by --variant") from None
+    typer.echo(json.dumps(result) if as_json else bench.table(result))
+
+
 @app.command(epilog="Example:\n\n  fastslow bench compare runs/before/latency.json runs/after/latency.json")
 def compare(
     a: Annotated[Path, typer.Argument(help="A saved result.")],

@@ -21,6 +21,7 @@ from schemas.driving.episode import REDIRECT_PER_S, Ending, ending
 from schemas.driving.features import BOUND, FEATURES, N_ROWS
 from schemas.driving.intent import ANY_LANE
 from schemas.driving.road import HZ, NOBODY, VX, VY, X, lead_id
+from schemas.runtime.compiled import compiled
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 from sim_node import executor
 from sim_node.observe import senses
@@ -42,6 +43,18 @@ def features_space() -> spaces.Box:
 
 
 _ACTIONS = action_space()
+
+
+def _able_all(
+    gates: Any, rows: Any, target_speed: Any, target_lane: Any, previous: Any, floor: float, ceiling: float, out: Any
+) -> None:
+    """Fill out (S, 5) with every scene's `executor.able`."""
+    for s in range(len(rows)):
+        x = rows[s, 0, X]
+        executor.able(gates, target_speed[s], target_lane[s], previous[s], x, floor, ceiling, out[s])
+
+
+_able = compiled(_able_all)
 
 
 @dataclass(frozen=True)
@@ -68,7 +81,7 @@ class Episodes(Scenes):
         self._seeds = np.zeros(scenes, np.int64)
         self._wishes: list[Generator] = [np.random.default_rng(0)] * scenes
         self._directives: list[Directive | None] = [config.directive] * scenes
-        self._gates = scenario.gates().tolist()
+        self._gates = scenario.gates()
         self._senses = senses(range(scenes), config.noise_m, config.noise_mps, config.dropout)
         self.happened = np.zeros(scenes, np.int64)
         """(S,) `Ending` of the last decision, time included."""
@@ -149,20 +162,18 @@ class Episodes(Scenes):
             is_open = self.open()
             return np.asarray(is_open | ~is_open.any(-1, keepdims=True))
         w, bounds = self.world, self._scenario.ego
-        return np.array(
-            [
-                executor.able(
-                    self._gates,
-                    float(w.target_speed[s]),
-                    int(w.target_lane[s]),
-                    int(w.previous_lane[s]),
-                    float(w.rows[s, 0, X]),
-                    bounds.speed_floor_mps,
-                    bounds.speed_ceiling_mps,
-                )
-                for s in range(len(w.rows))
-            ]
+        out = np.zeros((len(w.rows), POLICY_ACTIONS), np.bool_)
+        _able(
+            self._gates,
+            w.rows,
+            w.target_speed,
+            w.target_lane,
+            w.previous_lane,
+            float(bounds.speed_floor_mps),
+            float(bounds.speed_ceiling_mps),
+            out,
         )
+        return out
 
     def told(self) -> dict[str, Any]:
         """`info`, with (S, ...) of each: see `docs/gymnasium.md`."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from deploy.environments.config import Directive, Features, Kinematics, OccupancyGrid, check_lane, convert, read
 from deploy.environments.episodes import Episodes, action_of, action_space, directive_of, features_space, one_of
-from deploy.environments.world import road_world
+from deploy.environments.world import BatchedWorld, RoadWorld, SeededWorld, one_road
 from sim_node.scenarios import Scenario
 
 SEEDS = 2**31
@@ -49,16 +49,21 @@ class DrivingEnv(gymnasium.Env[Observation, int]):
             raise ValueError(f"render_mode {render_mode!r} is not one of: rgb_array, human")
         self.render_mode = render_mode
         seen = self._config.observation
-        asked = {k: list(v) if k == "features" else v for k, v in msgspec.structs.asdict(seen).items()}
-        kind = type(seen).__struct_config__.tag
-        self._world = road_world(self.scenario, {"type": kind, **asked}, render_mode, self._config.decision_hz)
-        self._features = isinstance(seen, Features)
+        self._road: RoadWorld | None = None
+        """Only where pictures or highway-env's own observations are made of it; else the batched engine is faster."""
+        if render_mode is not None or not isinstance(seen, Features):
+            asked = {k: list(v) if k == "features" else v for k, v in msgspec.structs.asdict(seen).items()}
+            kind = {"type": type(seen).__struct_config__.tag, **asked}
+            self._road = one_road(self.scenario, kind, render_mode, self._config.decision_hz)
+        world: SeededWorld = self._road or BatchedWorld(self.scenario, 1, 0)
         self.metadata = {**self.metadata, "render_fps": self._config.decision_hz}
         self.action_space: Any = action_space()
-        self.observation_space = (
-            features_space() if isinstance(seen, Features) else _bounded(self._world.env.observation_space, seen)
-        )
-        self._episodes = Episodes(self._world, self.scenario, self._config)
+        self.observation_space = features_space()
+        self._observed_by: Any = None
+        if self._road is not None and not isinstance(seen, Features):
+            self.observation_space = _bounded(self._road.env.observation_space, seen)
+            self._observed_by = self._road.env
+        self._episodes = Episodes(world, self.scenario, self._config)
         self._running = False
 
     def reset(
@@ -104,15 +109,16 @@ class DrivingEnv(gymnasium.Env[Observation, int]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """With `render_mode="rgb_array"`: (height, width, 3) of the road from above, drawn without a screen."""
-        return self._world.env.render()
+        return None if self._road is None else self._road.env.render()
 
     def close(self) -> None:
-        self._world.env.close()
+        if self._road is not None:
+            self._road.env.close()
 
     def _observed(self) -> Observation:
-        if self._features:
-            return np.asarray(self._episodes.observe()[0])
-        return np.asarray(self._world.env.observation_type.observe())
+        if self._observed_by is not None:
+            return np.asarray(self._observed_by.observation_type.observe())
+        return np.asarray(self._episodes.observe()[0])
 
     def _info(self) -> dict[str, Any]:
         return one_of(self._episodes.told(), 0)

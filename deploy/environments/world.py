@@ -153,9 +153,7 @@ class RoadWorld:
             rows[at[near], ID] = at[near]
 
 
-def road_world(scenario: Scenario, observation: dict[str, Any], render_mode: str | None, hz: int) -> RoadWorld:
+def one_road(scenario: Scenario, observation: dict[str, Any], render_mode: str | None, hz: int) -> RoadWorld:
     """One road with one ego, which highway-env's own observations and pictures can be made of. hz: of decisions."""
-    env = ScenarioEnv(
-        scenario, decision_hz=hz, duration_s=None, config={"observation": observation}, render_mode=render_mode
-    )
-    return RoadWorld(env)
+    seen = {"observation": observation}
+    return RoadWorld(ScenarioEnv(scenario, decision_hz=hz, duration_s=None, config=seen, render_mode=render_mode))
