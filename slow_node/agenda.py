@@ -21,6 +21,8 @@ LONG_M = 6.5
 CLEAR_M, CLEAR_S = 120.0, 8.0
 """No oncoming car nearer than this, in metres and in seconds: the way is clear."""
 REACHED_MPS = 0.5
+HERE_M = 5.0
+"""An exit nearer than this is the one that we are at."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,8 @@ class Watch:
     """The vehicle that it is about."""
     ahead: bool = False
     """It was ahead of us then."""
+    exit_m: float = INF
+    """Where the exit is."""
 
     def due(self, scene: Scene, now_ns: int) -> bool:
         """Whether it has come."""
@@ -55,6 +59,8 @@ class Watch:
                 if self.speed_mps <= goal:
                     return scene.speed_mps >= goal - REACHED_MPS
                 return scene.speed_mps <= goal + REACHED_MPS
+            case "exit":
+                return scene.x_m >= self.exit_m
             case _:
                 return False
 
@@ -68,7 +74,15 @@ class Watch:
 def watch(trigger: Trigger, scene: Scene, now_ns: int) -> Watch:
     """Begin to wait for a trigger: from here, from now, for the vehicle that is meant."""
     car, ahead = _meant(trigger, scene) if trigger.kind == "passed" else (None, False)
-    return Watch(trigger, now_ns, scene.x_m, scene.speed_mps, car, ahead)
+    return Watch(trigger, now_ns, scene.x_m, scene.speed_mps, car, ahead, exit_ahead_m(scene))
+
+
+def exit_ahead_m(scene: Scene) -> float:
+    """Where the next exit is, as far as the lanes tell: where one of our direction leaves the road or ends, else where
+    the road does. Along the road, in metres."""
+    own = [lane for lane in scene.lanes if lane.direction == 1]
+    leaves = [lane.start_m for lane in own if lane.kind == "ramp"] + [lane.end_m for lane in own]
+    return min((at for at in leaves if at > scene.x_m + HERE_M), default=INF)
 
 
 def _free(side: str | None, scene: Scene) -> bool:
@@ -120,6 +134,11 @@ class Agenda:
     def stage(self) -> Stage:
         return self.parts[self.at]
 
+    @property
+    def later(self) -> tuple[Stage, ...]:
+        """The stages after this one."""
+        return self.parts[self.at + 1 :]
+
     def asked(self, scene: Scene) -> Slots:
         """What the stage asks for on this road."""
         return slots_of(self.stage, scene, self.language, self.program.miles)
@@ -144,10 +163,15 @@ class Agenda:
         """What is waited for now: by this stage, or by the next one."""
         return self.waits.trigger if self.waits is not None else self.next_trigger
 
+    @property
+    def is_open(self) -> bool:
+        """Something of it is still to come."""
+        return self.waiting() is not None or self.lasts is not None
+
     def under_way(self, scene: Scene, now_ns: int) -> Agenda:
         """Its stage has begun."""
         until = ends(self.stage)
-        lasts = watch(until, scene, now_ns) if until is not None and until.kind not in ("done", "exit") else None
+        lasts = watch(until, scene, now_ns) if until is not None and until.kind != "done" else None
         return replace(self, waits=None, lasts=lasts)
 
     def moved_on(self, scene: Scene, now_ns: int) -> Agenda | None:

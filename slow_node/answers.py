@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from schemas.wire.messages import Reason
 from schemas.wire.program import Question, Trigger
-from slow_node.agenda import Agenda
+from slow_node.agenda import Agenda, Watch
 from slow_node.planning.replies import sentence, spoken_length, spoken_speed
 from slow_node.planning.scene import SIGHT_M, Scene, is_slow
 from slow_node.planning.spoken import place
@@ -120,3 +120,20 @@ def waits_sentence(trigger: Trigger, then: str, language: str, miles: bool) -> s
     kind = "oncoming" if trigger.object == "oncoming" else "done" if trigger.kind == "exit" else trigger.kind
     after = sentence("then", language, what=then) if then else ""
     return sentence(f"wait_{kind}", language, value=said.get(trigger.kind, ""), then=after).strip()
+
+
+FAR_M = 2000.0
+"""An exit farther away than this is not spoken of."""
+
+
+def lasts_sentence(lasts: Watch, scene: Scene, language: str, miles: bool) -> str:
+    """Until when something is done."""
+    trigger = lasts.trigger
+    if trigger.kind == "exit":
+        ahead_m = lasts.exit_m - scene.x_m
+        return sentence(
+            "lasts_exit" if ahead_m < FAR_M else "lasts_road", language, value=spoken_length(min(ahead_m, FAR_M), miles)
+        )
+    value = trigger.value or 0.0
+    said = {"time": f"{value:.0f}", "distance": spoken_length(value, miles), "speed": spoken_speed(value, miles)}
+    return sentence(f"lasts_{trigger.kind}", language, value=said.get(trigger.kind, ""))

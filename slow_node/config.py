@@ -8,6 +8,8 @@ from schemas.runtime.process import NodeConfig
 
 THOUGHTS = "thoughts.jsonl"
 """In a run's folder: how each command was understood."""
+WISHES = "wishes.json"
+"""In a run's folder: the wishes that are open."""
 BUDGET_S, BUDGET_MAX_S = 8.0, 300.0
 
 
@@ -26,6 +28,8 @@ class SlowConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """SQLite file of the memory bank; empty: a bank that ends with the process."""
     thoughts_path: str = ""
     """A JSONL file that every thought is appended to, whole; empty: none."""
+    wishes_path: str = ""
+    """A JSON file of the wishes that are open, for the process that may have to come after this one; empty: none."""
     budget_s: float = BUDGET_S
     """How long the language model may take for one command, retries included. What its answer was thought for may be
     as old."""

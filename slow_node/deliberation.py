@@ -26,14 +26,17 @@ from schemas.wire import topics
 from schemas.wire.messages import Command, Directive, Event, EventKind, Reply, ReplyOutcome
 from schemas.wire.program import Program, Trigger
 from slow_node.agenda import WAIT_MAX_S, Agenda, told, watch
-from slow_node.answers import Answers, waits_sentence
-from slow_node.dialogue import Said, follows, resolved
+from slow_node.answers import Answers, lasts_sentence, waits_sentence
+from slow_node.dialogue import Said, asked, follows, lacks_its_side, resolved, which_side
 from slow_node.effects import Abandon, Effect, Interpret
 from slow_node.interpreter import Interpretation
 from slow_node.planning.directive import Refusal, directive_of
 from slow_node.planning.replies import sentence
 from slow_node.planning.scene import Scene
+from slow_node.planning.spoken import place
+from slow_node.planning.steps import slots_of
 from slow_node.pursuit import Pursuing, Pursuit
+from slow_node.unanswered import Wish
 from slow_node.understanding.reading.values import steps_of
 from slow_node.understanding.slots import Slots
 
@@ -59,6 +62,21 @@ class Deliberation(Pursuing):
         self._pending: _Pending | None = None
         self._said: Said | None = None
         self._asked_for = 0
+
+    def open_wishes(self) -> list[Wish]:
+        """Those whose passenger has not had the last reply."""
+        agenda, pursuit = self._agenda, self._pursuit
+        found = [
+            *(
+                [Wish(command=pursuit.command, language=pursuit.slots.language)]
+                if pursuit and not pursuit.fulfilled
+                else ()
+            ),
+            *([Wish(command=agenda.command, language=agenda.language)] if agenda and agenda.is_open else ()),
+            *([Wish(command=self._pending.command, language=self._language)] if self._pending else ()),
+            *([Wish(command=self._held, language=self._language)] if self._held else ()),
+        ]
+        return list({wish.command.id: wish for wish in found}.values())
 
     def refuse_payload(self, why: str, command_id: int, now_ns: int) -> list[Effect]:
         """A payload that is no command."""
@@ -129,11 +147,15 @@ class Deliberation(Pursuing):
         scene, late = self._scene_of(pending, now_ns)
         program = found.program or Program(outcome=found.slots.outcome, steps=steps_of(found.slots))
         if program.question and not program.steps:
+            self._said = asked(program.question, scene, self._said)
             say = Answers(scene, self._pursuit, self._agenda, self._language, program.miles).to(program.question)
             return [self._reply(command, "fulfilled", now_ns, say=say, why=f"a question: {program.question}")]
+        if program.outcome == "unclear" and lacks_its_side(program.steps):
+            say = sentence(which_side(scene), self._language, **place(scene))
+            return [self._refused(command, "unclear command: left or right?", "", now_ns, say=say)]
         if follows(program.steps):
-            steps = resolved(program.steps[0].act, self._said) if self._said is not None else ()
-            if not steps and not found.slots.cancel:
+            steps = resolved(program.steps[0], self._said) if self._said is not None else ()
+            if not steps and found.slots.outcome != "directive":
                 why, key = ("no", "no_wish_before") if self._said is None else ("another kind of", "unclear")
                 return [self._refused(command, f"unclear command: {why} wish before it to go by", key, now_ns)]
             program = structs.replace(program, outcome="directive", steps=steps or steps_of(found.slots))
@@ -166,8 +188,24 @@ class Deliberation(Pursuing):
         if is_to_wait:
             self._agenda = agenda
             return [*dropped, *self._waiting(agenda, draft.say, now_ns)]
-        self._agenda = agenda.under_way(scene, now_ns)
+        self._agenda = agenda = agenda.under_way(scene, now_ns)
+        draft = structs.replace(draft, say=self._whole_of(agenda, draft.say, scene))
         return [*dropped, *self._begin(command, slots, found.why, scene, draft, now_ns)]
+
+    @staticmethod
+    def _whole_of(agenda: Agenda, say: str, scene: Scene) -> str:
+        """What is done now, until when, and what comes then."""
+        said, language = [say], agenda.language
+        if agenda.lasts is not None:
+            said.append(lasts_sentence(agenda.lasts, scene, language, agenda.program.miles))
+        for later in agenda.later:
+            what = directive_of(slots_of(later, scene, language, agenda.program.miles), scene).say
+            waits = later[0].when
+            if waits is not None and waits.kind != "done":
+                said.append(waits_sentence(waits, what, language, agenda.program.miles))
+            else:
+                said.append(sentence("then", language, what=what))
+        return " ".join(part for part in said if part)
 
     def _waiting(self, agenda: Agenda, then: str, now_ns: int) -> list[Effect]:
         """Say what a command waits for, and what comes then."""

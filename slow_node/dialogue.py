@@ -6,13 +6,21 @@ from dataclasses import dataclass
 
 from msgspec.structs import replace
 
-from schemas.wire.program import Act, Side, Step
+from schemas.wire.program import Act, Question, Side, Step, Trigger
+from slow_node.planning.directive import may_take
 from slow_node.planning.scene import Scene
 from slow_node.planning.steps import headway_now_s
+from slow_node.understanding.reading.values import A_BIT_MPS
 
 FOLLOW_UPS = ("more", "less", "again", "opposite", "back")
-A_BIT_MPS, A_BIT_M = 10 / 3.6, 10.0
-"""What a bit more is where no number was said: 10 km/h, 10 m."""
+A_BIT_M = 10.0
+"""What a bit more room is where no number was said; of speed, see `A_BIT_MPS`."""
+_ASKED_ABOUT: dict[Question, Step] = {
+    "why_not_overtake": Step(act="overtake"),
+    "safe": Step(act="overtake"),
+    "why_slow": Step(act="faster"),
+}
+"""What "do it" means after a question."""
 _OPPOSITE: dict[Act, Act] = {"faster": "slower", "slower": "faster", "closer": "farther", "farther": "closer"}
 _OTHER_SIDE: dict[Side, Side] = {"left": "right", "right": "left", "leftmost": "rightmost", "rightmost": "leftmost"}
 
@@ -30,8 +38,32 @@ def follows(steps: tuple[Step, ...]) -> bool:
     return len(steps) == 1 and steps[0].act in FOLLOW_UPS
 
 
-def resolved(act: Act, last: Said) -> tuple[Step, ...]:
+def lacks_its_side(steps: tuple[Step, ...]) -> bool:
+    """Whether steps ask for another lane without saying which."""
+    return len(steps) == 1 and steps[0].act == "lane" and steps[0] == Step(act="lane")
+
+
+def which_side(scene: Scene) -> str:
+    """The key of the question, or of the refusal, for who wants another lane."""
+    left, right = (may_take(scene, scene.kept_lane + way) for way in (-1, 1))
+    if left and right:
+        return "which_side"
+    return "only_side_left" if left else "only_side_right" if right else "no_lane"
+
+
+def asked(question: Question, scene: Scene, before: Said | None) -> Said | None:
+    """What is talked of after a question; that before it, where it is about nothing that could be done."""
+    step = _ASKED_ABOUT.get(question)
+    return before if step is None else Said((step,), scene)
+
+
+def resolved(said: Step, last: Said) -> tuple[Step, ...]:
     """The steps that are meant; empty where the wish before cannot be had more of, or turned round."""
+    act = said.act
+    if act == "again" and said.object == "now":
+        return tuple(replace(step, when=None, polarity="do") for step in last.steps)
+    if act == "again" and said.value is not None:
+        return _of_size(said, last)
     if act == "again":
         return last.steps
     if act == "back":
@@ -43,6 +75,21 @@ def resolved(act: Act, last: Said) -> tuple[Step, ...]:
         if one is not None:
             changed.append(one)
     return tuple(changed)
+
+
+def _of_size(said: Step, last: Said) -> tuple[Step, ...]:
+    """The wish before with another number, in the unit that it had; empty where it had none."""
+    value = said.value or 0.0
+    *before, step = last.steps
+    for name in ("when", "until"):
+        trigger: Trigger | None = getattr(step, name)
+        if trigger is not None and trigger.kind in ("time", "distance"):
+            return (*before, replace(step, **{name: replace(trigger, value=value)}))
+    if step.unit in ("s", "m"):
+        return (*before, replace(step, value=value, unit=said.unit or step.unit))
+    if step.unit == "mps" and step.value is not None and step.mode == "by":
+        return (*before, replace(step, value=round(value / 3.6, 3)))
+    return ()
 
 
 def _as_change(step: Step, scene: Scene) -> Step:

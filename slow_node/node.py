@@ -28,6 +28,8 @@ from slow_node.memory.examples import EXAMPLES
 from slow_node.planning.scene import describe, encode_scene
 from slow_node.telemetry import telemetry_of
 from slow_node.thought import ThoughtsFile, Trace, shortened, thought_of
+from slow_node.unanswered import Unanswered
+from slow_node.unanswered import told as ended
 from slow_node.understanding.intent_parser import IntentParser
 from slow_node.understanding.reading.reader import ProgramReader
 
@@ -46,6 +48,7 @@ class SlowNode:
         interpreter: Interpreter,
         budget_s: float = BUDGET_S,
         thoughts_path: str = "",
+        wishes_path: str = "",
     ) -> None:
         self._bus, self._memory, self._model, self._interpreter = bus, memory, model, interpreter
         self._observations = bus.subscribe(topics.OBSERVATION)
@@ -58,6 +61,8 @@ class SlowNode:
         self._seen: tuple[int, int] | None = None
         self._model_ms = 0.0
         self._thoughts = ThoughtsFile(thoughts_path)
+        self._unanswered = Unanswered(wishes_path)
+        self._left = list(self._unanswered.left)
         self._telemetry = telemetry_of(model)
         self._told_s = 0.0
 
@@ -98,6 +103,9 @@ class SlowNode:
             self._seen = (observation.epoch, observation.tick)
             self._diary.scene(observation.epoch, observation.tick, now_ns)
             self._carry_out(self._deliberation.on_scene(encode_scene(observation), now_ns))
+            # Only now: who listens is known to a fresh process no earlier than who speaks.
+            self._carry_out([ended(wish, observation.epoch, now_ns) for wish in self._left])
+            self._left = []
         for event in self._events.take():
             self._diary.event(event, now_ns)
             self._carry_out(self._deliberation.on_event(event, now_ns))
@@ -116,6 +124,8 @@ class SlowNode:
                 self._tell_of(error)
                 why = f"internal error: {type(error).__name__}"
                 self._carry_out(self._deliberation.refuse_payload(why, command.id, now_ns))
+
+        self._unanswered.keep([*self._left, *self._deliberation.open_wishes()])
 
     def _tell_of(self, error: Exception) -> None:
         """Log an error of ours, once a second at most."""
@@ -221,7 +231,7 @@ def build(bus: Bus, config: SlowConfig) -> tuple[SlowNode, Memory]:
         bus.publish(
             topics.EVENT, Event(epoch=0, stamp_ns=now_ns, kind=EventKind.FAULT, node=NAME, tick=-1, detail=said)
         )
-    return SlowNode(bus, memory, model, interpreter, config.budget_s, config.thoughts_path), memory
+    return SlowNode(bus, memory, model, interpreter, config.budget_s, config.thoughts_path, config.wishes_path), memory
 
 
 def build_interpreter(config: SlowConfig) -> tuple[Interpreter, Memory, ChatModel]:

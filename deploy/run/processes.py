@@ -17,7 +17,7 @@ from platformdirs import user_data_path
 from deploy.run.launch import python_module
 from schemas.runtime.files import read_text_bounded
 from schemas.runtime.realtime import Mode
-from slow_node.config import BUDGET_S, THOUGHTS
+from slow_node.config import BUDGET_S, THOUGHTS, WISHES
 from slow_node.llm.endpoint import where
 
 TCP_HOST = "127.0.0.1"
@@ -207,6 +207,7 @@ def process_table(options: RunOptions, model: Model, sockets: Path, folder: Path
         **_asks(model),
         "memory_path": str(data_folder() / "memory.sqlite"),
         "thoughts_path": str((folder / THOUGHTS).absolute()) if folder else "",
+        "wishes_path": str((folder / WISHES).absolute()) if folder else "",
     }
     table = [
         Process(name="fast", argv=python_module("fast_node", fast), critical=True),
@@ -296,7 +297,7 @@ def _viewers(sockets: Path) -> Process:
 
 def _recorder(options: RunOptions, sockets: Path, folder: Path, told: dict[str, dict[str, object]]) -> Process:
     """Its file says what the others were told, but for what is of this host alone."""
-    here = ("bus", "realtime", "trace", "memory_path", "thoughts_path", "base_url", "api_key_env")
+    here = ("bus", "realtime", "trace", "memory_path", "thoughts_path", "wishes_path", "base_url", "api_key_env")
     about = {
         "scenario": options.scenario,
         "seed": str(options.seed),

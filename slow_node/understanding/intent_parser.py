@@ -122,15 +122,20 @@ class IntentParser:
         wish = {name: value == "true" if name in ("overtake", "cancel") else value}
         return Parsed(Slots.model_validate({"outcome": "directive", "language": language, **wish}), chance, refused)
 
-    def probabilities(self, command: str) -> dict[str, NDArray[np.float32]]:
-        """Every head's distribution over its classes."""
-        text = in_digits(command)
+    def features(self, text: str) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """What the heads read: the pooled token vectors, and the hidden layer over the n-grams."""
+        text = in_digits(text)
         x = self._embedder.tokens(text)
         pooled = np.concatenate([x.mean(axis=0), x.max(axis=0)])
         rows = grams(text)
-        logits = self._w["dense.weight"] @ pooled + self._w["dense.bias"]
         hidden = self._w["sparse.weight"][rows].sum(axis=0) / np.sqrt(len(rows)) + self._w["sparse.bias"]
-        logits += self._w["top.weight"] @ np.maximum(hidden, 0.0)
+        return pooled, np.maximum(hidden, 0.0)
+
+    def probabilities(self, command: str) -> dict[str, NDArray[np.float32]]:
+        """Every head's distribution over its classes."""
+        pooled, hidden = self.features(command)
+        logits = self._w["dense.weight"] @ pooled + self._w["dense.bias"]
+        logits += self._w["top.weight"] @ hidden
         found, at = {}, 0
         for name, classes in HEADS.items():
             part = np.exp(logits[at : at + len(classes)] - logits[at : at + len(classes)].max())

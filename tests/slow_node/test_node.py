@@ -66,6 +66,7 @@ def play(
     parser: bool = False,
     asked: Callable[[], object] = lambda: False,
     thoughts_path: str = "",
+    wishes_path: str = "",
 ) -> tuple[list[Reply], list[Directive]]:
     """Run the node on an in-process bus; what it published.
 
@@ -85,6 +86,7 @@ def play(
             parser=parser,
             api_key_env="FASTSLOW_NO_KEY",
             thoughts_path=thoughts_path,
+            wishes_path=wishes_path,
         ),
     )
 
@@ -375,3 +377,21 @@ def test_the_embedded_model_understands_a_hurry(bank: str) -> None:
     assert replies[-1].outcome == "issued", replies[-1].why
     assert "from memory" not in replies[-1].why
     assert directives[0].manoeuvre == "overtake"
+
+
+def test_a_node_that_starts_again_tells_the_passenger_what_became_of_the_wish_before(bank: str, tmp_path: Path) -> None:
+    file = tmp_path / "wishes.json"
+    play(
+        "http://127.0.0.1:9/v1",
+        bank,
+        look(),
+        say("in ten seconds go left"),
+        parser=True,
+        embedded=True,
+        wishes_path=str(file),
+    )
+    assert b"in ten seconds go left" in file.read_bytes()
+    replies, _ = play("http://127.0.0.1:9/v1", bank, look(), look(1), parser=True, embedded=True, wishes_path=str(file))
+    assert [(reply.outcome, reply.why) for reply in replies] == [("failed", "the slow node was restarted")]
+    assert "in ten seconds go left" in replies[0].say
+    assert file.read_bytes() == b"[]"

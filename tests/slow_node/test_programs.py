@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
+from schemas.wire.messages import Command
 from schemas.wire.program import Outcome, Program, Step, Trigger
 from slow_node.agenda import WAIT_MAX_S
 from slow_node.planning.replies import SENTENCES, spoken_length
+from slow_node.unanswered import Unanswered, Wish, told
 from slow_node.understanding.slots import Slots
-from tests.ride import HURRY, LIMIT, TWO_WAY, Ride, directives
+from tests.ride import HURRY, LIMIT, ONE_WAY, TWO_WAY, Ride, directives, lane
 
 LEFT = Step(act="lane", side="left", count=1)
 RIGHT = Step(act="lane", side="right", count=1)
@@ -443,3 +447,117 @@ def test_a_question_leaves_the_wish_before_it_alone() -> None:
     ride.ask_for(later(LEFT, kind="free", side="left"))
     assert answers(ride, "waiting") == "I wait for room in the lane."
     assert [d.target_lane for d in directives(ride.look(1))] == [0]
+
+
+# --- what lacks its side, sizes and second thoughts ----------------------------------------------------------------
+
+
+def change_lanes(ride: Ride) -> str:
+    ride.ask_for(Step(act="lane"), outcome="unclear")
+    return ride.replies[-1].say
+
+
+def test_another_lane_without_a_side_is_asked_back_with_the_lane_that_we_are_in() -> None:
+    ride = riding()
+    assert change_lanes(ride) == "To the left or to the right? We are in lane 2 of 3, counted from the left."
+    assert ride.directives == []
+
+
+@pytest.mark.parametrize(("here", "key"), [(0, "only_side_right"), (2, "only_side_left")])
+def test_at_the_edge_of_the_road_the_one_lane_that_there_is_is_named(here: int, key: str) -> None:
+    ride = Ride()
+    ride.look(here)
+    assert change_lanes(ride) == SENTENCES[key]["en"]
+
+
+def test_do_it_after_all_turns_a_wish_that_was_denied_into_one() -> None:
+    ride = riding((1, 30.0, 8.0))
+    ride.ask_for(Step(act="overtake", polarity="not"))
+    ride.ask_for(Step(act="again", object="now"), outcome="unclear")
+    assert ride.directives[-1].manoeuvre == "overtake"
+
+
+def test_do_it_now_begins_what_waited() -> None:
+    ride = riding()
+    ride.ask_for(later(LEFT, kind="time", value=10.0))
+    ride.ask_for(Step(act="again", object="now"), outcome="unclear")
+    assert ride.directives[-1].target_lane == 0
+
+
+def test_do_it_after_a_question_about_overtaking_overtakes() -> None:
+    ride = riding((1, 30.0, 8.0))
+    ride.ask_for(question="safe", outcome="out_of_scope")
+    ride.ask_for(Step(act="again", object="now"), outcome="unclear")
+    assert ride.directives[-1].manoeuvre == "overtake"
+
+
+def test_a_number_alone_is_another_size_of_the_wish_before() -> None:
+    ride = riding()
+    ride.ask_for(Step(act="gap", value=2.0, unit="s", mode="to"))
+    ride.ask_for(Step(act="again", object="number", value=3.0), outcome="unclear")
+    assert ride.directives[-1].headway_s == pytest.approx(3.0)
+    ride.ask_for(later(LEFT, kind="time", value=5.0))
+    ride.ask_for(Step(act="again", object="number", value=10.0), outcome="unclear")
+    assert ride.replies[-1].waits_for == "10 s"
+
+
+# --- the exit, and what is said of the whole -----------------------------------------------------------------------
+
+RAMP = (*ONE_WAY, lane(kind="ramp", start_m=300.0, end_m=600.0))
+
+
+def test_what_is_to_last_until_the_exit_ends_where_a_lane_leaves_the_road() -> None:
+    ride = riding(lanes=RAMP)
+    ride.ask_for(Step(act="keep", object="lane", until=Trigger(kind="exit")))
+    assert ride.replies[-1].say == "I will stay in this lane. Until the exit, 300 m ahead."
+    ride.look(1, at_m=299.0)
+    assert ride.outcomes[-1] == "issued"
+    ride.look(1, at_m=301.0)
+    assert ride.outcomes[-1] == "fulfilled"
+
+
+def test_where_no_exit_is_in_sight_that_is_said() -> None:
+    ride = riding()
+    ride.ask_for(Step(act="keep", object="lane", until=Trigger(kind="exit")))
+    assert ride.replies[-1].say.endswith(SENTENCES["lasts_road"]["en"])
+
+
+def test_the_first_reply_names_what_comes_then_and_until_when() -> None:
+    ride = riding()
+    ride.ask_for(LEFT, Step(act="slower", when=Trigger(kind="done"), until=Trigger(kind="time", value=20.0)))
+    assert ride.replies[-1].say == "Moving left when it is safe. Then: Slowing down to 47 km/h."
+    ride.tell("fulfilled")
+    ride.ask_for(Step(act="slower", until=Trigger(kind="time", value=20.0)))
+    assert ride.replies[-1].say == "Slowing down to 47 km/h. For 20 s."
+
+
+# --- what is open when the process ends ----------------------------------------------------------------------------
+
+
+def test_a_wish_is_open_until_its_last_reply() -> None:
+    ride = riding()
+    assert ride.deliberation.open_wishes() == []
+    ride.ask_for(later(LEFT, kind="time", value=10.0))
+    assert [wish.command.id for wish in ride.deliberation.open_wishes()] == [1]
+    ride.wait(11, 1)
+    assert [wish.command.id for wish in ride.deliberation.open_wishes()] == [1]
+    ride.tell("fulfilled")
+    assert ride.deliberation.open_wishes() == []
+
+
+def test_who_comes_after_a_killed_process_finds_what_was_open_and_says_so_in_its_language(tmp_path: Path) -> None:
+    file = str(tmp_path / "wishes.json")
+    command = Command(epoch=1, stamp_ns=0, id=7, text="in zehn Sekunden nach links")
+    Unanswered(file).keep([Wish(command=command, language="de")])
+    (left,) = Unanswered(file).left
+    reply = told(left, 2, 5)
+    assert (reply.command_id, reply.outcome, reply.epoch) == (7, "failed", 2)
+    assert reply.say == SENTENCES["restarted"]["de"].format(text=command.text)
+
+
+def test_nothing_is_open_after_a_file_that_is_empty_missing_or_broken(tmp_path: Path) -> None:
+    file = tmp_path / "wishes.json"
+    assert Unanswered(str(file)).left == ()
+    file.write_text('[{"command": ')
+    assert Unanswered(str(file)).left == ()
+    assert Unanswered("").left == ()

@@ -12,7 +12,7 @@ from slow_node.understanding.reading.lexicon import Found, Row, bare, rows, sear
 
 _SENTENCES = re.compile(r"(?<=[.!?;\u2026])\s+|\s*\n\s*|\s+[\u2013\u2014-]+\s+|(?<=[\w])\s*\u2026\s*|(?<=\w)\.\.+\s*")
 _THEN = re.compile(
-    r"(?:^|[ ,;]+)(?:and |und |et |y |e |en )?(?<!from )(?:then|after (?:that|this)(?= ?,| ?$| (?:you|go|move|change|pull|slow|speed|"
+    r"(?:^|[ ,;]+)(?:and |und |et |y |e |en )?(?<!from )(?<!go on )(?:then|after (?:that|this)(?= ?,| ?$| (?:you|go|move|change|pull|slow|speed|"
     r"drive|take|turn|keep|overtake|pass|please|get)\b)|afterwards|dann|danach|anschliessend|puis|"
     r"ensuite|apres ca|luego|despues(?! de)|poi|dopodiche|dopo(?= \w+[ai]\b(?<!la))|depois(?! d[aeo])|em seguida|daarna|"
     r"vervolgens|(?<=, )dan|(?<=en )dan)\b(?! on\b),? ?"
@@ -22,6 +22,40 @@ _THEN = re.compile(
 _FIRST = re.compile(
     r"^(?:first(?:ly)?|zuerst|erst(?:mal)?|d'abord|primero|per prima cosa|prima(?= [a-z]+[ai]\b)|primeiro|eerst),? "
 )
+_AND_THERE = re.compile(
+    r",? (?:(?:and|und|et|y|e|en) )?(?:when|once|as soon as|wenn|sobald|quand|une fois que?|cuando|una vez|quando|appena|als|zodra) "
+    r"(?:(?:you.?re|you are|we.?re|we are|that.?s|that is|it.?s|you have|you.?ve) (?:there|done|finished|over there|through|done (?:that|it))|"
+    r"(?:du|wir) (?:da|dort|druben|fertig) (?:bist|sind)|das (?:erledigt|geschafft|fertig) ist|tu y es|c.est fait|tu as fini|"
+    r"(?:estes|estemos) (?:ahi|alli)|(?:hayas|hayamos) terminado|(?:ci sei|hai finito|e fatto)|(?:estiveres la|acabares|estiver feito)|"
+    r"(?:je|we) (?:daar|klaar) (?:bent|zijn)|dat (?:klaar|gedaan) is),? "
+)
+"""When the step before is done."""
+_THEN_INSIDE = re.compile(
+    r",? (?:and|und|et|y|e|en) (\w+(?: \w+)?) (?:then|danach|dann|anschliessend|puis|ensuite|luego|despues|poi|dopo|depois|daarna|dan) "
+)
+"""The verb before its "then"."""
+_ACTS = (
+    r"(?:\w+ing|move|slow|change|go|overtake|pass|speed|turn|drive|pull|brake|accelerate|merge|get|switch|"
+    r"(?:du|wir) |d.|de |que |di |je |we )"
+)
+_BEFORE = re.compile(
+    r"^(?P<last>.{6,}?),? (?:before|bevor|ehe|avant|antes|prima|voordat) (?:you |we |du |wir |je )?(?P<next>"
+    + _ACTS
+    + r".{3,})$"
+)
+_BEFORE_FIRST = re.compile(
+    r"^(?:before|bevor|ehe|avant|antes|prima|voordat) (?:you |we |du |wir |je )?(?P<next>"
+    + _ACTS
+    + r"[^,]{3,}), (?P<last>.{3,})$"
+)
+"""One thing before the other: said in either order."""
+_ONE = r"(?:a|an|one|another|eine?[nmr]?|une?|una?|uno|uma?|een)"
+_HALF = re.compile(
+    r"\b(?:half an?|eine[nm]? halbe[nr]?|une demi|medi[ao]|mezz[ao]|mei[ao]|een half|een halve)[ -]"
+    r"(?P<unit>minut\w*|minuto|kilomet\w*|chilometro|quilometro|miles?|meile)\b"
+)
+_SINGLE = re.compile(rf"\b{_ONE} (?=(?:minut[eoa]?|minuut|kilomet\w+|chilometro|quilometro|miles?|meile|km)\b)")
+"""Amounts in words: "half a minute", "a kilometre"."""
 _EVERY_ROAD = re.compile(
     r"\b(?:when|if|once|as soon as|wenn|sobald|si|quand|des que|cuando|en cuanto|se|quando|appena|assim que|als|zodra) "
     r"(?:it(?:'s| is)? |that(?:'s| is)? |es |das |c'est |es |sea |e |for |het |dat )?(?:safe|possible|convenient|sicher|moglich|geht|"
@@ -49,7 +83,7 @@ def sentences(command: str) -> list[str]:
 
 def clauses(sentence: str) -> list[Clause]:
     """The clauses of one sentence, in order."""
-    text = _EVERY_ROAD.sub("", searchable(sentence))
+    text = _EVERY_ROAD.sub("", _in_order(searchable(sentence)))
     found: list[Clause] = []
     waiting: Trigger | None = None
     for number, part in enumerate(_THEN.split(_FIRST.sub("", _LEAD_IN.sub("", text)))):
@@ -65,6 +99,18 @@ def clauses(sentence: str) -> list[Clause]:
     if waiting is not None:
         found.append(Clause("", waiting, None, bool(found)))
     return found
+
+
+def _in_order(text: str) -> str:
+    """A text with amounts in digits, and what comes first said first."""
+    text = _HALF.sub(lambda m: "30 seconds" if m["unit"].startswith("minu") else f"0.5 {m['unit']}", text)
+    text = _SINGLE.sub("1 ", text).replace("des qu'il", "des que il")
+    text = _THEN_INSIDE.sub(r", then \1 ", _AND_THERE.sub(", then ", text))
+    for pattern in (_BEFORE_FIRST, _BEFORE):
+        found = pattern.match(text.rstrip(".!?"))
+        if found is not None:
+            return f"{found['last']}, then {found['next']}"
+    return text
 
 
 _LEAD_IN = re.compile(r"^(?:please|bitte|ok|okay|so|now|well|hey|car|alors|bueno|allora|entao|nou)[ ,]+")
@@ -99,7 +145,13 @@ def _trigger(row: Row, found: Found) -> Trigger | None:
     elif kind == "distance":
         unit = said["du"]
         metres = (
-            1000.0 if unit[0] in "kqc" else 1609.3 if unit.startswith("mile") else 0.9144 if unit[0] == "y" else 1.0
+            1000.0
+            if unit[0] in "kqc"
+            else 1609.3
+            if unit.startswith(("mile", "meile"))
+            else 0.9144
+            if unit[0] == "y"
+            else 1.0
         )
         value = float(said["d"].replace(",", ".")) * (0.3048 if unit == "feet" else metres)
     elif kind == "speed":

@@ -39,7 +39,7 @@ _SMALL_WORDS = ("a", "sei", "se", "une", "una", "uma", "eine", "einer", "set", *
 _COURTESY = (
     r"please|pls|bitte(?: mal)?|s'il (?:te|vous) plait|por favor|per (?:favore|piacere)|(?:als?je|alstu)blieft|"
     r"se faz favor|could you|can you|would you|will you|would you mind|i (?:want|need|would like) you to|"
-    r"i'?d like you to|you (?:should|can|could) |hey|hi|ok|okay|oh|ah|um|uh|er|well|so|now|right|listen|look|"
+    r"i'?d like you to|you (?:should|can|could) |hey|hi|ok|okay|oh|ah|um|uh|er|well|so|now|right|listen|look(?! out)|"
     r"hey @?car|@?car|@?driver|computer|yes|yeah|and|but|just|then|"
     r"kannst du|konntest du|konnen sie|kannst du mal|mal|doch|jetzt|also|und|ja|"
     r"peux-tu|pourrais-tu|pouvez-vous|tu peux|tu pourrais|est-ce que tu (?:peux|pourrais)|alors|et|maintenant|"
@@ -52,6 +52,7 @@ _AFTER = (
     r"please|pls|bitte|s'il (?:te|vous) plait|por favor|per (?:favore|piacere)|(?:als?je|alstu)blieft|se faz favor|"
     r"will you|would you|can you|could you|ok|okay|now|@?car|driver|honey|darling|dear|love|mate|man|then|"
     r"thanks|thank you|danke|merci|gracias|grazie|obrigad[oa]|bedankt|jetzt|maintenant|ahora|adesso|ora|agora|nu|"
+    r"but only|only|and only|aber nur|nur|erst|mais seulement|seulement|pero solo|solo|ma solo|mas so|apenas|maar alleen|alleen|"
     r"ja|nochmal bitte|if you (?:can|could|would|like|please)|wenn du kannst|when you can"
 )
 _LEADING = re.compile(rf"^(?:(?:{_COURTESY})(?!\w)[ ,]*)+")

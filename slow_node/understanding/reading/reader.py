@@ -10,6 +10,7 @@ import msgspec
 
 from schemas.wire.program import MAX_STEPS, Program, Question, Step, Trigger
 from slow_node.understanding.intent_parser import IntentParser, Parsed
+from slow_node.understanding.reading.addressed import Addressed
 from slow_node.understanding.reading.clauses import Clause, clauses, sentences
 from slow_node.understanding.reading.lexicon import VULNERABLE, Found, Row, bare, rows, searchable, side_said
 from slow_node.understanding.reading.values import corrected, steps_of, unbound, uses_miles
@@ -28,6 +29,10 @@ _CORRECTS = re.compile(
     r"plutot|pardon|mejor|perdon|anzi|scusa|alias|afinal|nee|toch|laat maar|oder|instead|hmm|oh dear|hold on|never mind)\b"
 )
 _DENIED = re.compile(r"\b(?:do ?n[o']?t|dont|not|never|nicht|nie|ne|pas|no|nunca|non|mai|nao|niet|nooit)\b[^,;]{0,20}$")
+_OTHERS = re.compile(r"^(?:somebody|someone|some idiot|he|she|they|jemand|quelqu.un|alguien|qualcuno|alguem|iemand)\b")
+_JOINED = re.compile(r"\b(?:and|but|und|aber|et|mais|y|pero|e|ma|mas|en|maar)\b|\d|,")
+LEFTOVER_WORDS = 4
+"""So few words around something sure, and nothing that joins them to it, are how it was said."""
 _SAYS_NO = re.compile(r"^(?:no|nope|nein|non|nee|nao|ne|oh|hm+|wait|stop|well)$")
 
 
@@ -59,13 +64,19 @@ class ProgramReader:
     """Reads commands into programs."""
 
     def __init__(self, parser: IntentParser) -> None:
-        self._parser = parser
+        self._parser, self._addressed = parser, Addressed(parser)
+        self._now_mps = 0.0
         clauses("brake, then after that truck go left in ten seconds")  # compiles the expressions before anybody speaks
         _sure(Clause("brake"))
 
     def read(self, command: str, speed_mps: float, limit_mps: float) -> Reading:
         """A command's program, with numbers resolved against the ego's speed and the limit, both in m/s."""
-        text = unbound(command)
+        self._now_mps = speed_mps
+        parts = sentences(unbound(command))
+        kept = self._addressed.kept(parts, _known)
+        text = unbound(command) if len(kept) == len(parts) else " ".join(kept)
+        if not text:
+            return self._talk(command)
         whole = self._parser.parse(text, speed_mps, limit_mps)
         found = [clause for sentence in sentences(text) for clause in clauses(sentence)]
         found = [clause for clause in found if not _SAYS_NO.match(clause.text)] or found
@@ -79,11 +90,17 @@ class ProgramReader:
             return self._as_a_whole(command, text, whole)
         return self._clause_by_clause(command, text, whole, found, sure, speed_mps, limit_mps)
 
-    @staticmethod
-    def _as_a_whole(command: str, text: str, whole: Parsed) -> Reading:
+    def _talk(self, command: str) -> Reading:
+        """Nothing of it is for the car."""
+        language = self._parser.parse(command, 0.0, 0.0).slots.language
+        slots = Slots(outcome="out_of_scope", language=language)
+        return Reading(Program(outcome="out_of_scope"), slots, language, 1.0, 0.0, True)
+
+    def _as_a_whole(self, command: str, text: str, whole: Parsed) -> Reading:
         plain = searchable(text)
         slots = corrected(whole.slots, plain)
-        program = Program(outcome=slots.outcome, steps=steps_of(slots, plain)[:MAX_STEPS], miles=uses_miles(command))
+        steps = steps_of(slots, plain, self._now_mps)[:MAX_STEPS]
+        program = Program(outcome=slots.outcome, steps=steps, miles=uses_miles(command))
         return Reading(program, slots, slots.language, whole.confidence, whole.refused)
 
     def _clause_by_clause(
@@ -112,6 +129,8 @@ class ProgramReader:
                     continue
                 mine, known, follows = (certain.step,), True, certain.follows
             rest = clause.text if certain is None else certain.rest
+            if certain is not None and mine and (mine[0].act == "yield" or _OTHERS.search(rest)):
+                rest = ""  # what others do is why, and no wish
             if len(rest.split()) > (0 if certain is None else 1) and parsed < MOST_PARSED:
                 parsed += 1
                 part = self._parser.parse(rest, speed_mps, limit_mps)
@@ -121,7 +140,7 @@ class ProgramReader:
                     confidence = min(confidence, part.confidence)
                     wishes += 1
                     merged = merged.model_copy(update={**slots.model_dump(exclude_defaults=True, exclude={"outcome"})})
-                    mine = (*mine, *steps_of(slots, rest))
+                    mine = (*mine, *steps_of(slots, rest, speed_mps))
             elif not rest and certain is None and clause.when is not None:
                 mine = _waited(clause.when)
                 if mine:
@@ -172,7 +191,13 @@ class ProgramReader:
 
 def _corrected(found: list[Clause], sure: bool) -> bool:
     """Whether a later word takes back what was said before: then only the whole tells what is left."""
-    return any(_CORRECTS.search(clause.text) for clause in (found[1:] if sure else found))
+    later = any(_CORRECTS.search(clause.text) for clause in found[1:])
+    return later or (not sure and _CORRECTS.search(found[0].text, 1) is not None)
+
+
+def _known(sentence: str) -> bool:
+    """Whether a sentence says something that is sure by its words."""
+    return any(_sure(clause) for clause in clauses(sentence))
 
 
 def _waited(trigger: Trigger) -> tuple[Step, ...]:
@@ -200,18 +225,44 @@ def _sure(clause: Clause) -> _Sure | None:
             if hit is not None and hit.start == 0:
                 return _Sure(None, row.fields["question"], False, rest)
         for row in rows("questions", "follows"):
-            if any(pattern.fullmatch(candidate) for pattern in row.patterns):
-                return _Sure(Step(act=row.fields["act"]), "", True, rest)
+            said = next((m for pattern in row.patterns if (m := pattern.fullmatch(candidate))), None)
+            step = None if said is None else _follow_up(row, said)
+            if step is not None:
+                return _Sure(step, "", True, rest)
         for row in rows("phrases", "says"):
             hit = row.search(candidate) if start == 0 or not row.fields.get("first") else None
             if hit is not None and not _DENIED.search(candidate[: hit.start]):
                 left = bare(f"{candidate[: hit.start]} {candidate[hit.end :]}")
-                step = _step(row, hit)
+                if row.fields.get("open") and rest:
+                    continue
+                step = Step(act=row.fields["step"]["act"]) if row.fields.get("open") else _step(row, hit)
                 if step is not None:
-                    return _Sure(step, "", False, bare(f"{rest} {left}") if len(left.split()) > 2 else rest)
+                    says_more = len(left.split()) > LEFTOVER_WORDS or _JOINED.search(left)
+                    if says_more and left != candidate:
+                        rest = bare(f"{rest} {left}") if len(left.split()) > 2 else rest
+                    return _Sure(step, "", row.fields.get("open", False), _without(rest, candidate))
     return None
 
 
+def _without(rest: str, said: str) -> str:
+    """The rest without what is only said once more: "brake, brake"."""
+    return "" if rest and set(re.split(r"[ ,]+", rest)) <= set(re.split(r"[ ,]+", said)) else rest
+
+
+def _follow_up(row: Row, said: re.Match[str]) -> Step | None:
+    """The step that goes by the wish before it; a number without its unit is another size of that."""
+    about = row.fields.get("object", "")
+    if about != "number":
+        return Step(act=row.fields["act"], object=about)
+    groups = {name.rsplit("_", 1)[0]: part for name, part in said.groupdict().items() if part}
+    digits = groups["v"].replace(",", ".")
+    value = (float(digits) if digits[0].isdigit() else 1.0) + (0.5 if "half" in groups else 0.0)
+    unit = {"s": "s", "m": "m"}.get(groups.get("vu", " ")[0])
+    return Step(act="again", object=about, value=value, unit=unit) if value < MOST_SIZE else None  # type: ignore[arg-type]
+
+
+MOST_SIZE = 30.0
+"""A larger number alone is a speed."""
 _OPPOSITE: dict[str | None, Any] = {"left": "right", "right": "left", None: None}
 
 
@@ -222,7 +273,9 @@ def _step(row: Row, hit: Found) -> Step | None:
     if fields.get("side") == "away":
         fields["side"] = _OPPOSITE[side] or ("right" if "fast" in said else "left" if "slow" in said else "either")
         fields["count"] = 1
-    elif fields["act"] == "lane" and fields.get("side") != "either":
+    elif fields.get("side") == "said":
+        fields["side"], fields["count"] = side, 1
+    elif fields["act"] == "lane" and fields.get("side") != "either" and "object" not in fields:
         number = next((n for n in range(1, 5) if f"o{n}" in said), None) or int(said.get("n", "0"))
         if not 1 <= number <= 8:
             return None

@@ -11,11 +11,13 @@ from slow_node.understanding.slots import Slots
 
 _AT_LEAST = re.compile(
     r"\b(?:at least|(?:no|not|never) (?:less|slower|closer|nearer) than|minimum|or more|not below|never below|mindestens|wenigstens|nicht "
-    r"(?:weniger|langsamer|unter)|au moins|pas moins|(?:al|por lo) menos|como minimo|no menos|almeno|come minimo|non meno|pelo menos|"
-    r"no minimo|nao menos|minstens|ten minste|minimaal|niet (?:minder|langzamer))\b"
+    r"(?:weniger|langsamer|unter)|nie unter|unter \d+.{0,20} nicht|(?:not|\w*n.t|never)\b.{0,25} (?:under|below|less than|slower than)|au moins|pas moins|(?:al|por lo) menos|como minimo|no (?:menos|bajes) de|nunca menos|jamais moins|pas en dessous|almeno|come minimo|(?:non|mai) (?:meno|sotto)|pelo menos|"
+    r"no minimo|nao (?:menos|abaixo|descas)|nunca (?:menos|abaixo)|minstens|ten minste|minimaal|(?:niet|nooit) (?:minder|langzamer|onder))\b"
 )
 _AT_MOST = re.compile(
-    r"\b(?:at (?:the )?(?:very )?most|(?:no|not|never) (?:more|faster|quicker|farther|further) than|max(?:imum)?|(?:not|never|nothing|"
+    r"\b(?:at (?:the )?(?:very )?most|cap (?:it|us|the speed|our speed|things) at|anything up to|(?:limit|restrict)(?: it| us| the speed)? to|"
+    r"(?:not|\w*n.t|never|no)\b.{0,25} (?:more|faster|quicker) than|begrenz\w*|limite[zr]? (?:la vitesse )?a|ne (?:depass\w+|roul\w+) (?:pas|jamais)(?: plus)?|"
+    r"sin pasar|non superare|nao (?:ultrapass\w+|pass\w+) (?:d?os|d?e)|beperk|(?:no|not|never) (?:more|faster|quicker|farther|further) than|max(?:imum)?|(?:not|never|nothing|"
     r"don.?t go) (?:above|over|beyond|past)|(?:stay|keep|remain)(?: it)? (?:below|under)|no faster|tops|hochstens|maximal|nicht (?:mehr|schneller|uber)|"
     r"nie (?:uber|mehr|schneller)|au (?:maximum|plus)|pas plus|jamais plus|como (?:mucho|maximo)|a lo sumo|no (?:mas|pases) de|nunca mas|"
     r"al massimo|non (?:piu|oltre|superare)|mai (?:piu|oltre)|no maximo|nao (?:mais|passes)|nunca mais|hooguit|hoogstens|"
@@ -35,7 +37,7 @@ _PERCENT = re.compile(
     r"(\d+(?:[.,]\d+)?) ?(?:%|percent|per cent|prozent|pour ?cent|por ciento|per cento|por cento|procent)"
 )
 _CARS = re.compile(
-    r"(\d+|an?|eine?|une?|una?|uma?|een)(?: more| weitere| extra)? ?-?(?:@?car|@car)? ?-?(?:lengths?|wagenlangen?|autolangen?|@car\w*langen?|"
+    r"(\d+|an?|another|eine?|une?|una?|uma?|een)(?: more| weitere| extra)? ?-?(?:@?car|@car)? ?-?(?:lengths?|wagenlangen?|autolangen?|@car\w*langen?|"
     r"longueurs?(?: de (?:@car|vehicule))?|largos?(?: de @car)?|lunghezz[ae](?: (?:d.|di )@car)?|comprimentos?(?: de @car)?|"
     r"(?:auto|@car)lengtes?)\b"
 )
@@ -45,6 +47,24 @@ _LESS = r"less|closer|nearer|shorter|weniger|naher|dichter|moins|plus pres|menos
 _BY = r"by|um|add|another|noch|ancora|weitere|encore|otros|con|met|widen|increase|reduce|drop|knock|lose"
 _BY_METRES = re.compile(
     rf"\b(?:{_BY})(?: about)? {_METRES}\b|\b{_METRES}(?: of)? (?:{_MORE}|{_LESS})\b|\b(?:{_MORE}) {_METRES}\b(?! (?:to|behind|between))"
+)
+_SECONDS = r"(?:\d+(?:[.,]\d+)?|one|another|eine|une|una|um|uma|een) (?:s|sec(?:ond)?s?|sekunden?|secondes?|segundos?|second[oi]|seconden?)"
+_BY_SECONDS = re.compile(
+    rf"\b(?:{_BY}) {_SECONDS}\b|\b{_SECONDS}(?: of)? (?:{_MORE}|{_LESS})\b|\b(?:{_MORE}) {_SECONDS}\b|\banother {_SECONDS}\b"
+)
+_SHARES = (
+    (
+        1 / 3,
+        re.compile(
+            r"\b(?:an?|one|ein|um ein|un|um|een) (?:third|drittel|tiers|tercio|terzo|terco|derde)\b(?! ?(?:@|lane|spur|baan))"
+        ),
+    ),
+    (
+        1 / 4,
+        re.compile(
+            r"\b(?:an?|one|ein|um ein|un|um|een) (?:quarter|viertel|quart|cuarto|quarto|kwart)\b(?! (?:of an|past|to))"
+        ),
+    ),
 )
 _CLOSER = re.compile(
     rf"\b(?:{_LESS}|close up|close the gap|catch up|auffahren|rapproche\w*|acerca\w*|avvicina\w*|aproxima\w*)\b"
@@ -58,14 +78,15 @@ _ELSEWHERE = re.compile(
     r"|\b\d+(?=[- ](?:kids|children|kinder|emails?|calls|floors?)\b)"
 )
 _ONCE = re.compile(
-    r"\bonce (?=(?:we|you|it|he|she|they|i|the|that|this|there|more|again|in|past|over|on|upon|a|every|and|per)\b)",
-    re.I,
+    r"\bonce (?=(?:we|you|it|he|she|they|i|the|that|this|there|in|past|over|on|upon|a|every|and|per)\b)", re.I
 )
+
+_ONCE_MORE = re.compile(r"\bonce (?:more|again)\b", re.I)
 
 
 def unbound(command: str) -> str:
     """A command without the numbers that are of something else: a bus line, degrees, somebody's age."""
-    plain = _ONCE.sub("when ", command)
+    plain = _ONCE.sub("when ", _ONCE_MORE.sub("again", command))
     digits = in_digits(plain)
     masked = _ELSEWHERE.sub(lambda m: m["what"] or (m[0][: -len(m["number"])] if m["number"] else "some"), digits)
     return plain if masked == digits else masked
@@ -76,15 +97,18 @@ def uses_miles(command: str) -> bool:
     return re.search(r"\b(?:mph|mi/h|miles?|meilen|millas|miglia|milhas|mijl)\b", command.lower()) is not None
 
 
-def steps_of(slots: Slots, text: str = "") -> tuple[Step, ...]:
-    """The steps of slots that were read from a clause, in `searchable` form; empty where they ask for nothing."""
+def steps_of(slots: Slots, text: str = "", speed_mps: float | None = None) -> tuple[Step, ...]:
+    """The steps of slots that were read from a clause, in `searchable` form; empty where they ask for nothing.
+
+    speed_mps: the ego's, with which the slots were read.
+    """
     if slots.outcome != "directive":
         return ()
     steps: list[Step] = []
     if slots.cancel:
         steps.append(Step(act="cancel"))
     gap_step, has_factor = _gap(slots, text)
-    speed = _speed(slots, text, takes_factor=not has_factor)
+    speed = _speed(slots, text, takes_factor=not has_factor, now_mps=speed_mps)
     if speed is not None:
         steps.append(speed)
     if slots.lane == "keep":
@@ -111,6 +135,8 @@ def corrected(slots: Slots, text: str) -> Slots:
     """Slots without a change that was taken for a size: "ten metres more room" is no gap of ten metres."""
     if slots.outcome != "directive":
         return slots
+    if slots.overtake is False and slots.target_speed_mps is not None and _AT_MOST.search(text):
+        slots = slots.model_copy(update={"overtake": None})  # "ne depasse pas les 90" is of a speed
     if (_BY_METRES.search(text) and any(q.kind == "length" for q in quantities(text))) or _CARS.search(text):
         gap = "closer" if slots.gap == "closer" or _CLOSER.search(text) else "farther"
         if _CARS.search(text) and not _changes(text):
@@ -120,22 +146,30 @@ def corrected(slots: Slots, text: str) -> Slots:
 
 
 def _changes(text: str) -> bool:
-    return _BY_METRES.search(text) is not None or re.search(rf"\b(?:{_MORE}|{_LESS})\b", text) is not None
+    return _BY_METRES.search(text) is not None or re.search(rf"\b(?:{_MORE}|{_LESS}|another)\b", text) is not None
 
 
 def _factor_said(text: str) -> float | None:
     """A multiple that is named, as a part of the whole: "half", "twice", "20 % less" (0.8)."""
+    share = _share_said(text)
+    if share is not None:
+        return share
+    return next((factor for factor, pattern in _FACTOR if pattern.search(text)), None)
+
+
+def _share_said(text: str) -> float | None:
+    """A part of the whole that is to be added or taken away: "20 %", "a third"."""
     percent = _PERCENT.search(text)
     if percent is not None:
         return float(percent[1].replace(",", ".")) / 100.0
-    return next((factor for factor, pattern in _FACTOR if pattern.search(text)), None)
+    return next((share for share, pattern in _SHARES if pattern.search(text)), None)
 
 
 def _bound(text: str) -> Mode:
     return "at_least" if _AT_LEAST.search(text) else "at_most" if _AT_MOST.search(text) else "to"
 
 
-def _speed(slots: Slots, text: str, *, takes_factor: bool) -> Step | None:
+def _speed(slots: Slots, text: str, *, takes_factor: bool, now_mps: float | None = None) -> Step | None:
     if slots.speed == "stop":
         return Step(act="stop")
     if slots.speed == "keep" and slots.target_speed_mps is None:
@@ -150,7 +184,9 @@ def _speed(slots: Slots, text: str, *, takes_factor: bool) -> Step | None:
                 else ""
             )
             return Step(act="drive", object=of_limit, value=value, unit="mps", mode=_bound(text))
-        change = _change(text)
+        if faster and _AT_MOST.search(text):
+            return Step(act="drive", value=value, unit="mps", mode="at_most")
+        change = _change(text) or _difference(slots, text, now_mps)
         if change is not None:
             return Step(act="faster" if faster else "slower", value=round(change, 3), unit="mps", mode="by")
         return Step(act="faster" if faster else "slower", value=value, unit="mps", mode="to")
@@ -158,14 +194,33 @@ def _speed(slots: Slots, text: str, *, takes_factor: bool) -> Step | None:
         return None
     factor = _factor_said(text) if takes_factor else None
     if factor is not None:
-        percent = _PERCENT.search(text) is not None
+        percent = _share_said(text) is not None
         times = (1.0 + factor if faster else 1.0 - factor) if percent else factor
         if not faster and times > 1.0:
             times = 1.0 / times
         return Step(act="faster" if faster else "slower", value=round(times, 3), unit="times", mode="factor")
+    if faster and _A_BIT.search(text):
+        return Step(act="faster", value=round(A_BIT_MPS, 3), unit="mps", mode="by")
     return Step(act="faster" if faster else "slower")
 
 
+def _difference(slots: Slots, text: str, now_mps: float | None) -> float | None:
+    """By how much the speed is to change where the number that was said is this far from the present speed."""
+    if now_mps is None or slots.target_speed_mps is None:
+        return None
+    change = abs(slots.target_speed_mps - now_mps)
+    said = [q.value * (1.0 if q.kind == "speed" else KMH) for q in quantities(text) if q.kind in ("speed", "bare")]
+    near = [value for value in said if abs(value - change) < SAME_MPS]
+    meant = [value for value in said if abs(value - slots.target_speed_mps) < SAME_MPS]
+    return near[-1] if near and not meant and change > SAME_MPS else None
+
+
+A_BIT_MPS, SAME_MPS = 10 / 3.6, 0.1
+"""What a bit faster is where no number was said: 10 km/h; two speeds nearer than this are one."""
+_A_BIT = re.compile(
+    r"\b(?:a (?:little )?bit|a little|slightly|a tad|a touch|bit (?:faster|quicker)|etwas|ein (?:bisschen|wenig|klein wenig)|un (?:petit )?peu|"
+    r"un poco|un poquito|un po.?|um (?:pouco|bocadinho)|een beetje|ietsje|iets|wat (?:sneller|harder))\b"
+)
 _TO_A_SPEED = re.compile(
     r"\b(?:to|at|auf|a|ad|aan|naar|op|up to|down to|until|bis|tot|jusqu.a|hasta|fino a|ate) (?:about |etwa )?\d"
 )
@@ -211,11 +266,10 @@ def _gap(slots: Slots, text: str) -> tuple[Step | None, bool]:
         return Step(act="gap", value=metres, unit="m", mode=_bound(text)), False
     if slots.headway_s is not None:
         seconds = round(slots.headway_s, 3)
+        if _BY_SECONDS.search(text):
+            return _amount(act or ("closer" if _CLOSER.search(text) else "farther"), seconds, "s", "by"), False
         if act is not None:
-            by = re.search(
-                rf"\b(?:by|um|another|add) \d|\d(?:[.,]\d+)? ?(?:s|sec\w*|sek\w*)(?: of)? (?:{_MORE}|{_LESS})\b", text
-            )
-            return _amount(act, seconds, "s", "by" if by else "to"), False
+            return _amount(act, seconds, "s", "to"), False
         return Step(act="gap", value=seconds, unit="s", mode=_bound(text)), False
     if slots.gap == "keep":
         return Step(act="keep", object="gap"), False
@@ -224,7 +278,7 @@ def _gap(slots: Slots, text: str) -> tuple[Step | None, bool]:
     factor = _factor_said(text)
     if factor is None or (slots.speed in ("faster", "slower") and slots.gap == "none"):
         return Step(act="closer" if act == "closer" else "farther"), False
-    if _PERCENT.search(text):
+    if _share_said(text) is not None:
         factor = 1.0 + factor if act == "farther" else max(1.0 - factor, 0.0)
     return _amount(act, round(factor, 3), "times", "factor"), True
 

@@ -145,6 +145,35 @@ def test_a_command_of_one_step_is_read_as_it_is_meant(reader: ProgramReader, kin
 
 
 DONE = {"kind": "done"}
+LEFT = {"act": "lane", "side": "left", "count": 1}
+RIGHT = {"act": "lane", "side": "right", "count": 1}
+IN_WORDS = {
+    "Give it half a minute and then move over to the right": [{**RIGHT, "when": {"kind": "time", "value": 30.0}}],
+    "In about a kilometre, get into the right lane": [{**RIGHT, "when": {"kind": "distance", "value": 1000.0}}],
+    "Keep this speed for another mile": [
+        {"act": "keep", "object": "speed", "until": {"kind": "distance", "value": 1609.3}}
+    ],
+    "Move left, and when you're there slow down": [LEFT, {"act": "slower", "when": DONE}],
+    "Change to the right lane before you slow down": [RIGHT, {"act": "slower", "when": DONE}],
+    "Überhol den Wagen und ordne dich danach wieder rechts ein": [{"act": "overtake"}, {**RIGHT, "when": DONE}],
+    "Knock off twenty": [{"act": "slower", "value": 5.556, "unit": "mps", "mode": "by"}],
+    "Go a third faster": [{"act": "faster", "value": 1.333, "unit": "times", "mode": "factor"}],
+    "a bit faster": [{"act": "faster", "value": 2.778, "unit": "mps", "mode": "by"}],
+    "Cap it at 100": [{"act": "drive", "value": 27.778, "unit": "mps", "mode": "at_most"}],
+    "Don't let it drop under 80": [{"act": "drive", "value": 22.222, "unit": "mps", "mode": "at_least"}],
+    "Vacate the left lane, somebody's in a hurry back there": [RIGHT],
+    "That lorry wants in, be a sport and let it": [{"act": "yield", "object": "truck"}],
+}
+
+
+@pytest.mark.parametrize("command", IN_WORDS)
+def test_amounts_in_words_and_order_in_any_order_are_read(reader: ProgramReader, command: str) -> None:
+    assert steps(reader, command) == IN_WORDS[command]
+
+
+@pytest.mark.parametrize("command", ["Change lanes", "Wechsel mal die Spur", "Change de voie", "Cambia de carril"])
+def test_a_lane_change_without_its_side_is_unclear_and_says_so(reader: ProgramReader, command: str) -> None:
+    assert plain(read(reader, command)) == {"outcome": "unclear", "steps": [{"act": "lane"}]}
 
 
 @pytest.mark.parametrize(
