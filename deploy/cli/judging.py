@@ -51,6 +51,7 @@ def pair_of(checkpoints: list[Path], *, alone: bool) -> list[str]:
     "  fastslow evaluate --agent ours --policy mine:load --policy constant:faster\n\n"
     "  fastslow evaluate --checkpoint old.safetensors --checkpoint new.safetensors --rows episodes.csv\n\n"
     "  fastslow evaluate --scenario highway --density 2 --directive-at 10 --first-seed 5200\n\n"
+    "  fastslow evaluate --all --episodes 300 --keep runs/roads.jsonl --jobs 2\n\n"
     "  fastslow evaluate --scenario highway --wish 23 --wish 25 --wish 28 --plot tradeoff.png\n\n"
     "  fastslow evaluate --scenario merge --agent rule --episodes 20 --video films\n\n" + EXITS
 )

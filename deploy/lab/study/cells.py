@@ -159,7 +159,8 @@ def run_away(cell: Cell) -> tuple[dict[str, Any], dict[str, bytes]]:
     with tempfile.TemporaryDirectory(prefix="fastslow-cell-") as name:
         folder = Path(name)
         result = run_cell(cell, folder)
-        return result, {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+        files = (path for path in sorted(folder.rglob("*")) if path.is_file())
+        return result, {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
 def keep(cell: Cell, files: dict[str, bytes], folder: Path) -> None:
@@ -167,6 +168,7 @@ def keep(cell: Cell, files: dict[str, bytes], folder: Path) -> None:
     last = _result_path(cell, folder)
     for name in sorted(files, key=lambda name: name == last.name):
         new = folder / f"{name}.new"
+        new.parent.mkdir(parents=True, exist_ok=True)
         new.write_bytes(files[name])
         os.replace(new, folder / name)
 

@@ -106,6 +106,17 @@ def test_a_file_that_holds_something_else_is_refused_and_left_alone(tmp_path: Pa
     assert path.read_text() == "buy milk\n"
 
 
+def test_a_cell_that_is_run_elsewhere_brings_all_its_files_home(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    (cell,) = study_cells.cells_of(["ours"], ["two-way"], [0], 1024, 2)
+    run_cells([cell], tmp_path / "away", Farm())
+    (tmp_path / "home").mkdir()
+    study_cells.run_cell(cell, tmp_path / "home")
+    away, home = ({p.name for p in (tmp_path / name).iterdir()} for name in ("away", "home"))
+    assert away == home
+    assert study_cells.finished(cell, tmp_path / "away")
+
+
 # With Ray
 
 
