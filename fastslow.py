@@ -11,8 +11,9 @@ from deploy.environments.register import ENVIRONMENTS, register
 
 if TYPE_CHECKING:
     from deploy.environments.parallel import DrivingParallelEnv
+    from deploy.environments.sb3 import Sb3VecEnv
 
-__all__ = ["ENVIRONMENTS", "parallel_env"]
+__all__ = ["ENVIRONMENTS", "parallel_env", "sb3_vec_env"]
 
 register()
 
@@ -22,3 +23,10 @@ def parallel_env(scenario: str = "highway", cars: int = 3, **settings: Any) -> D
     from deploy.environments.parallel import DrivingParallelEnv
 
     return DrivingParallelEnv(scenario, cars, **settings)
+
+
+def sb3_vec_env(scenario: str = "highway", num_envs: int = 16, **settings: Any) -> Sb3VecEnv:
+    """Many roads at once for stable-baselines3 and sb3-contrib. Raises ImportError without extra `train`."""
+    from deploy.environments.sb3 import Sb3VecEnv
+
+    return Sb3VecEnv(scenario, num_envs, **settings)

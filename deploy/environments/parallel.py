@@ -34,7 +34,7 @@ APART = 1_000_003
 Infos = dict[str, dict[str, Any]]
 
 
-class DrivingParallelEnv(ParallelEnv):  # type: ignore[misc]
+class DrivingParallelEnv(ParallelEnv):
     """`cars` egos on one road: the scenario's own, and the cars nearest to it that drive in its direction.
 
     A car terminates on a collision and stays where it stands; it truncates at the goal or the road's end, where it
