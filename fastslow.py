@@ -7,7 +7,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from deploy.environments.register import ENVIRONMENTS, register
+try:
+    from deploy.environments.register import ENVIRONMENTS, register
+except ModuleNotFoundError as error:
+    if (error.name or "").split(".")[0] not in ("deploy", "fast_node", "schemas", "sim_node"):
+        raise
+    raise ImportError(
+        f"{error.name} is not ours: another package of that name comes first on the path, perhaps in this folder. "
+        "Start Python with -P, or elsewhere"
+    ) from None
 
 if TYPE_CHECKING:
     from deploy.environments.parallel import DrivingParallelEnv

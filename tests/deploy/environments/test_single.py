@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import copy
+import os
 import pickle
+import subprocess
+import sys
 import warnings
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -42,6 +46,16 @@ def test_every_road_has_an_environment_that_is_found_by_its_id() -> None:
     assert {HIGHWAY, MERGE, TWO_WAY, "fastslow/StockHighway-v0", "fastslow/MergeNatural-v0"} <= set(gymnasium.registry)
     env: Any = gymnasium.make("fastslow:fastslow/Exit-v0").unwrapped
     assert env.scenario.name == "exit"
+
+
+def test_in_a_folder_with_a_deploy_of_its_own_the_error_names_the_way_out(tmp_path: Path) -> None:
+    (tmp_path / "deploy").mkdir()
+    (tmp_path / "deploy" / "__init__.py").write_text("")
+    root = str(Path(fastslow.__file__).parent)
+    start = ("-S", "-c", f"import sys; sys.path.append({root!r}); import fastslow")  # an editable install finds ours
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    ended = subprocess.run([sys.executable, *start], cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
+    assert "Start Python with -P, or elsewhere" in ended.stderr
 
 
 @pytest.mark.parametrize("name", fastslow.ENVIRONMENTS)
