@@ -20,6 +20,7 @@ commands = typer.Typer()
     "  fastslow train --algorithm taught --scenario merge --scenario exit --steps 48000\n\n"
     "  fastslow train --algorithm ppo --bare --out runs/ppo-bare.safetensors\n\n"
     "  fastslow train --algorithm maskable-ppo --set n_steps=64 --set learning_rate=3e-4\n\n"
+    "  fastslow train --algorithm ppo --seed 3 --ray auto\n\n"
     "  fastslow train --config mine.toml --set entropy=0.02 --track\n\n" + EXITS
 )
 def train(
@@ -83,6 +84,7 @@ def train(
         bool,
         typer.Option("--track", help="Keep a W&B run beside the policy, offline unless WANDB_MODE says otherwise."),
     ] = False,
+    ray: Ray = None,
 ) -> None:
     """Learn one policy for the given roads (some minutes on one core)."""
     changes = settings(context, set_ or [])
@@ -99,32 +101,27 @@ def train(
         raise typer.BadParameter("for algorithm ours alone", param_hint=f"'{given[0]}'")
     if resume and start is not None:
         raise typer.BadParameter("a resumed run has begun already: leave one out", param_hint="'--start'")
+    if ray is not None and (resume or start is not None):
+        raise typer.BadParameter("--resume and --start go on from files that lie here", param_hint="'--ray'")
     if learning_rate is not None and "lr" in changes:
         raise typer.BadParameter("it is --learning-rate: give it once", param_hint="'--set lr'")
     if algorithm == "taught" and (changes or track):
         raise typer.BadParameter("for learners by reward alone", param_hint="'--set'" if changes else "'--track'")
     with readable_ends():
-        from deploy.lab.teaching import teach_policy
-        from deploy.lab.training import train_baseline, train_policy
+        from deploy.lab.farm import Farm
+        from deploy.lab.learning import Training, run_on
 
-        figures = (
-            teach_policy(out, roads, steps, seed)
-            if algorithm == "taught"
-            else train_policy(
-                out,
-                roads,
-                steps,
-                seed,
-                lr=learning_rate,
-                resume=resume,
-                start=start,
-                preset=mask_preset,
-                changes=changes,
-                track=track,
-            )
-            if algorithm == "ours"
-            else train_baseline(algorithm, out, roads, steps, seed, bare=bare, changes=changes, track=track)
+        training = Training(
+            algorithm=algorithm,
+            scenarios=tuple(roads),
+            steps=steps,
+            seed=seed,
+            changes=changes,
+            bare=bare,
+            ours={"lr": learning_rate, "resume": resume, "start": start, "preset": mask_preset},
+            track=track,
         )
+        figures = training.run(out) if ray is None else run_on(Farm(ray=ray), training, out)
     told = [f"{name} {figures[name]:.3g}" for name in ("episodic_return", "crash_rate", "loss") if name in figures]
     typer.echo(": ".join((str(out), *told)), err=True)
 

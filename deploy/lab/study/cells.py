@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from deploy.lab.episodes import FIRST_SEED, Logits, by_the_tick, load, record, task_of
+from deploy.lab.files import brought, put
 from deploy.lab.training import BASELINE_SCENES, SCENES, mixed_scenes, scenes_of
 from fast_node.mask import VERSION as MASK_VERSION
 from fast_node.policies.load import load_policy
@@ -157,20 +158,12 @@ def run_cell(cell: Cell, folder: Path) -> dict[str, Any]:
 def run_away(cell: Cell) -> tuple[dict[str, Any], dict[str, bytes]]:
     """`run_cell` where the study's folder may not be at hand: its result, and its files by name."""
     with tempfile.TemporaryDirectory(prefix="fastslow-cell-") as name:
-        folder = Path(name)
-        result = run_cell(cell, folder)
-        files = (path for path in sorted(folder.rglob("*")) if path.is_file())
-        return result, {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+        return run_cell(cell, Path(name)), brought(Path(name))
 
 
 def keep(cell: Cell, files: dict[str, bytes], folder: Path) -> None:
-    """Write the files of `run_away`, the result last and at once."""
-    last = _result_path(cell, folder)
-    for name in sorted(files, key=lambda name: name == last.name):
-        new = folder / f"{name}.new"
-        new.parent.mkdir(parents=True, exist_ok=True)
-        new.write_bytes(files[name])
-        os.replace(new, folder / name)
+    """Write the files of `run_away`, the result last."""
+    put(files, folder, last=_result_path(cell, folder).name)
 
 
 def _identity(cell: Cell) -> dict[str, Any]:

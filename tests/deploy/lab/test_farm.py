@@ -12,6 +12,7 @@ import pytest
 from deploy.lab import rows
 from deploy.lab.evaluate import evaluate_all
 from deploy.lab.farm import Farm
+from deploy.lab.learning import Training, run_on
 from deploy.lab.rows import Cell, Kept
 from deploy.lab.study import cells as study_cells
 from deploy.lab.study.matrix import run_cells
@@ -115,6 +116,16 @@ def test_a_cell_that_is_run_elsewhere_brings_all_its_files_home(tmp_path: Path) 
     away, home = ({p.name for p in (tmp_path / name).iterdir()} for name in ("away", "home"))
     assert away == home
     assert study_cells.finished(cell, tmp_path / "away")
+
+
+def test_a_training_that_is_run_elsewhere_brings_the_policy_home_that_it_would_be_here(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    training = Training(algorithm="ours", scenarios=("two-way",), steps=1024, seed=3)
+    here, away = tmp_path / "here" / "p.safetensors", tmp_path / "away" / "p.safetensors"
+    here.parent.mkdir()
+    assert run_on(Farm(), training, away).keys() == training.run(here).keys()
+    assert away.read_bytes() == here.read_bytes()
+    assert {p.name for p in away.parent.iterdir()} == {p.name for p in here.parent.iterdir()}
 
 
 # With Ray
