@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -122,8 +123,12 @@ def train(
             track=track,
         )
         figures = training.run(out) if ray is None else run_on(Farm(ray=ray), training, out)
-    told = [f"{name} {figures[name]:.3g}" for name in ("episodic_return", "crash_rate", "loss") if name in figures]
-    typer.echo(": ".join((str(out), *told)), err=True)
+    told = [
+        f"{name.replace('_', ' ')} {figures[name]:.3g}"
+        for name in ("episodic_return", "crash_rate", "loss")
+        if not math.isnan(figures.get(name, math.nan))
+    ]
+    typer.echo(f"{out}{': ' if told else ''}{', '.join(told)}", err=True)
 
 
 @commands.command(
