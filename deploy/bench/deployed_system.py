@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from deploy.bench.machine import rss_mb
 from deploy.bench.progress import MeasurementError
-from deploy.run.processes import TCP_HOST, Model, Process, RunOptions, free_port, process_table, router_endpoints
+from deploy.run.processes import TCP_HOST, Model, Process, RunOptions, free_port, links_of, process_table
 from deploy.run.supervisor import Supervisor
-from schemas.runtime.bus import BusConfig, ZenohBus, open_bus
+from schemas.runtime.bus import ZenohBus, open_bus
 from schemas.runtime.realtime import Mode
 from schemas.wire import topics
 from schemas.wire.messages import Observation
@@ -49,7 +49,8 @@ class Deployment:
             cockpit_port=cockpit_port,
         )
         self._notices: list[str] = []
-        rows = process_table(options, self.model, self.sockets, folder if watched else None)
+        self.links = links_of(options, self.sockets)
+        rows = process_table(options, self.model, self.links, folder if watched else None)
         table = tuple(self._private(process) for process in rows)
         self._supervisor = Supervisor(table, folder, self._notices.append)
         self.bus: ZenohBus
@@ -69,9 +70,8 @@ class Deployment:
     def __enter__(self) -> Deployment:
         with ExitStack() as stack:
             stack.callback(shutil.rmtree, self.sockets, ignore_errors=True)
-            self.bus = stack.enter_context(
-                open_bus(BusConfig(mode="router", listen=router_endpoints(self.sockets, self._port)))
-            )
+            self.links.write_logins()
+            self.bus = stack.enter_context(open_bus(self.links.supervisor()))
             self._status = self.bus.subscribe(topics.STATUS)
             self._observations = self.bus.subscribe(topics.OBSERVATION)
             self._actions = self.bus.subscribe_bytes(topics.ACTION)

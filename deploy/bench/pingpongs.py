@@ -27,6 +27,7 @@ from deploy.bench.progress import MeasurementError
 from deploy.bench.transports import EndConfig, Transport, socket_of
 from deploy.run.launch import Launched, children, environment, python_module
 from deploy.run.processes import free_port
+from schemas.runtime.bus import BusConfig
 from schemas.runtime.realtime import Mode
 
 PATIENCE_S = 20.0
@@ -171,6 +172,7 @@ class PingPongs:
                         transport="ours",
                         near=True,
                         folder=str(system.sockets),
+                        bus=msgspec.convert(system.links.peer("sim", "fast"), BusConfig),
                         observation=str(recorded),
                         realtime=self._realtime,
                     ),

@@ -40,6 +40,8 @@ class EndConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     sent_bytes: int = 0
     answered_bytes: int = 0
     realtime: Mode = "off"
+    bus: BusConfig = BusConfig()
+    """The simulator's link to the fast node, for the near end of `ours`."""
     observation: str = ""
     """A file with an encoded observation, which the near end of `ours` sends to the real fast node, tick by tick."""
 
@@ -151,8 +153,7 @@ def _ours(config: EndConfig) -> Iterator[Link]:
     seen = decoder.decode(Path(config.observation).read_bytes())
     tick = seen.tick
 
-    near, bus_path, fast = (f"unixsock-stream/{socket_of(config.folder, name)}" for name in ("sim", "bus", "fast"))
-    with open_bus(BusConfig(listen=(near,), connect=(bus_path, fast), low_latency=True)) as bus:
+    with open_bus(config.bus) as bus:
         actions = bus.subscribe(ACTION)
         if not bus.wait_for_reader(OBSERVATION, 10.0):
             raise ConfigError("the fast node did not come up")

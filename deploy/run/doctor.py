@@ -19,7 +19,7 @@ from typing import Literal
 
 from deploy.run.launch import temporary_folder
 from deploy.run.model_choice import KEY, choose_model
-from deploy.run.processes import TCP_HOST, Model, ModelOptions, free_port, listener_of, router_endpoints
+from deploy.run.processes import TCP_HOST, Model, ModelOptions, free_port, listener_of
 from schemas.runtime.bus import BusConfig, BusError, open_bus
 from schemas.runtime.process import FAILED, OK, ConfigError
 from schemas.wire import topics
@@ -83,13 +83,13 @@ def _packages() -> Check:
 
 
 def _bus() -> Check:
-    port = free_port()
+    at = f"tcp/{TCP_HOST}:{free_port()}"
     fix = "zenoh needs TCP on 127.0.0.1 and Unix sockets in the temporary folder (set TMPDIR to another one)"
     try:
         with (
             temporary_folder() as folder,
-            open_bus(BusConfig(mode="router", listen=router_endpoints(folder, port))) as router,
-            open_bus(BusConfig(mode="client", connect=(f"tcp/{TCP_HOST}:{port}",))) as client,
+            open_bus(BusConfig(mode="router", listen=(at, f"unixsock-stream/{folder}/bus.sock"))) as router,
+            open_bus(BusConfig(mode="client", connect=(at,))) as client,
         ):
             heard = router.subscribe(topics.COMMAND)
             deadline = time.monotonic() + 2.0

@@ -15,12 +15,14 @@ import psutil
 from platformdirs import user_data_path
 
 from deploy.run.launch import python_module
+from deploy.run.links import TCP_HOST as TCP_HOST
+from deploy.run.links import DoorOptions, Links, carried
+from schemas.runtime.bus_settings import Tls
 from schemas.runtime.files import read_text_bounded
 from schemas.runtime.realtime import Mode
 from slow_node.config import BUDGET_S, THOUGHTS, WISHES
 from slow_node.llm.endpoint import where
 
-TCP_HOST = "127.0.0.1"
 DEFAULT_PORT = 7447
 FOXGLOVE_PORT = 8765
 """Where Foxglove and Lichtblick look first."""
@@ -51,8 +53,8 @@ class Process:
 NEEDS_WAIT_S = 3.0
 SLOW_START_S = 120.0
 """Where nothing is compiled yet, on a busy machine."""
-SHUTDOWN_ORDER = ("slow", "fast", "sim", "llm", "record")
-"""Who thinks stops first; the car is driven until the road itself ends; all of it is recorded."""
+SHUTDOWN_ORDER = ("slow", "fast", "sim", "llm", "record", "door")
+"""Who thinks stops first; the car is driven until the road itself ends; all of it is recorded and told."""
 RECORDING = "recording.mcap"
 """In the run's folder."""
 
@@ -104,6 +106,12 @@ class RunOptions:
     """Traffic and perception, as `sim_node.config.SimConfig` has them."""
     duration_s: float | None = None
     port: int = DEFAULT_PORT
+    """Where users come in on loopback, if `listen` is empty."""
+    listen: str = ""
+    """zenoh's endpoint where users come in from anywhere, with `tls`."""
+    tls: Tls | None = None
+    name: str = ""
+    """Of this car, before every key that users see."""
     say: str | None = None
     say_at_s: float = 3.0
     as_json: bool = False
@@ -132,16 +140,21 @@ def free_port() -> int:
         return port
 
 
-def free_port_from(port: int) -> int:
-    """`port` if nobody listens there now, else any free one."""
-    with socket.socket() as probe:
+def is_free(host: str, port: int) -> bool:
+    """Whether nobody listens there now."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind((TCP_HOST, port))
+            probe.bind((host, port))
         except OSError:
-            return free_port()
-        found: int = probe.getsockname()[1]
-        return found
+            return False
+        return True
+
+
+def free_port_from(port: int) -> int:
+    """`port` if nobody listens there now, else any free one."""
+    return port if port and is_free(TCP_HOST, port) else free_port()
 
 
 def road_of(spec: str) -> dict[str, Any]:
@@ -161,30 +174,31 @@ def data_folder() -> Path:
     return Path(chosen) if chosen else user_data_path("fastslow", appauthor=False)
 
 
-def router_endpoints(sockets: Path, port: int) -> tuple[str, ...]:
-    """Where the supervisor's session listens: TCP loopback for users, a Unix socket for our nodes."""
-    return f"tcp/{TCP_HOST}:{port}", _socket(sockets, "bus")
+def door_of(options: RunOptions) -> DoorOptions:
+    """Where users come in."""
+    return DoorOptions(listen=options.listen or f"tcp/{TCP_HOST}:{options.port}", tls=options.tls, name=options.name)
 
 
-def _socket(sockets: Path, name: str) -> str:
-    return f"unixsock-stream/{sockets / name}.sock"
+def speak_to(options: RunOptions) -> str:
+    """What `fastslow say` must be told to reach this run, or nothing."""
+    if options.listen:
+        return f" --connect {options.listen.partition('/')[0]}/HOST:{door_of(options).address[1]} --cert FILE" + (
+            f" --name {options.name}" if options.name else ""
+        )
+    return "" if options.port == DEFAULT_PORT else f" --port {options.port}"
 
 
-def process_table(options: RunOptions, model: Model, sockets: Path, folder: Path | None = None) -> tuple[Process, ...]:
+def links_of(options: RunOptions, folder: Path) -> Links:
+    """The links of a run, whose sockets lie in `folder`."""
+    return Links(folder, door_of(options), frozenset(options.without))
+
+
+def process_table(options: RunOptions, model: Model, links: Links, folder: Path | None = None) -> tuple[Process, ...]:
     """The table of one run, in the order in which the processes are started. `folder`: the run's; None: no recorder."""
-
-    def bus(name: str, *others: str) -> dict[str, object]:
-        return {
-            "mode": "peer",
-            "listen": [_socket(sockets, name)],
-            "connect": [_socket(sockets, other) for other in ("bus", *others)],
-            # The router and slow hear strangers, whose messages may be long. Their links to these two stay ordinary.
-            "low_latency": name in ("sim", "fast"),
-        }
 
     def critical(name: str, *others: str) -> dict[str, object]:
         return {
-            "bus": bus(name, *others),
+            "bus": links.peer(name, *others),
             "realtime": options.realtime,
             "trace": str((options.trace / f"{name}.trace").absolute()) if options.trace else "",
         }
@@ -203,7 +217,7 @@ def process_table(options: RunOptions, model: Model, sockets: Path, folder: Path
     if options.duration_s is not None:
         sim["duration_s"] = options.duration_s
     slow: dict[str, object] = {
-        "bus": bus("slow", "sim", "fast"),
+        "bus": links.peer("slow", "sim", "fast"),
         **_asks(model),
         "memory_path": str(data_folder() / "memory.sqlite"),
         "thoughts_path": str((folder / THOUGHTS).absolute()) if folder else "",
@@ -226,12 +240,14 @@ def process_table(options: RunOptions, model: Model, sockets: Path, folder: Path
     if model.embedded:
         table.insert(0, _embedded(model))
     if options.cockpit_port is not None:
-        table.append(_cockpit(options.cockpit_port, sockets))
+        table.append(_cockpit(options.cockpit_port, links))
     if options.foxglove:
-        table.append(_viewers(sockets))
+        table.append(_viewers(links))
     if folder is not None:
         told = {"sim": sim, "fast": fast, "slow": slow}
-        table.insert(0, _recorder(options, sockets, folder, told))
+        table.insert(0, _recorder(options, links, folder, told))
+    if links.door is not None:
+        table.insert(0, door_process(links))
     return tuple(process for process in table if process.name not in options.without)
 
 
@@ -264,10 +280,32 @@ def _embedded(model: Model) -> Process:
     )
 
 
-def _cockpit(port: int, sockets: Path) -> Process:
+def door_process(links: Links) -> Process:
+    """Its row. It takes less of the processor than the others, unless a node that drives is behind it."""
+    assert links.door is not None
+    inward, outward = carried(links.door, links.left_out)
+    polite = not {"sim", "fast"} & links.left_out
+    config = {
+        "bus": links.client("door"),
+        "outside": links.outside(),
+        "inward": [topic.name for topic in inward],
+        "outward": [topic.name for topic in outward],
+        "polite": polite,
+    }
+    return Process(
+        name="door",
+        argv=python_module("deploy.door", config),
+        critical=False,
+        heartbeat_s=30.0,
+        start_s=SLOW_START_S,
+        nice=10 if polite else 0,
+    )
+
+
+def _cockpit(port: int, links: Links) -> Process:
     """It has what the others leave of the processor: slow is not dead."""
     page = {
-        "bus": {"mode": "client", "connect": [_socket(sockets, "bus")]},
+        "bus": links.client("cockpit"),
         "port": free_port_from(port),  # the same after a restart, so that open pages find it again
     }
     return Process(
@@ -280,13 +318,12 @@ def _cockpit(port: int, sockets: Path) -> Process:
     )
 
 
-def _viewers(sockets: Path) -> Process:
+def _viewers(links: Links) -> Process:
     """For Foxglove and Lichtblick: what the cockpit is for a browser."""
     return Process(
         name="foxglove",
         argv=python_module(
-            "deploy.record.live",
-            {"bus": {"mode": "client", "connect": [_socket(sockets, "bus")]}, "port": free_port_from(FOXGLOVE_PORT)},
+            "deploy.record.live", {"bus": links.client("foxglove"), "port": free_port_from(FOXGLOVE_PORT)}
         ),
         critical=False,
         heartbeat_s=30.0,
@@ -295,7 +332,7 @@ def _viewers(sockets: Path) -> Process:
     )
 
 
-def _recorder(options: RunOptions, sockets: Path, folder: Path, told: dict[str, dict[str, object]]) -> Process:
+def _recorder(options: RunOptions, links: Links, folder: Path, told: dict[str, dict[str, object]]) -> Process:
     """Its file says what the others were told, but for what is of this host alone."""
     here = ("bus", "realtime", "trace", "memory_path", "thoughts_path", "wishes_path", "base_url", "api_key_env")
     about = {
@@ -305,7 +342,7 @@ def _recorder(options: RunOptions, sockets: Path, folder: Path, told: dict[str, 
         **{name: json.dumps({k: v for k, v in config.items() if k not in here}) for name, config in told.items()},
     }
     config = {
-        "bus": {"mode": "client", "connect": [_socket(sockets, "bus")]},
+        "bus": links.client("record"),
         "path": str((options.record or folder / RECORDING).absolute()),
         "folder": str(folder.parent.absolute()),
         "max_mb": options.record_max_mb,

@@ -121,12 +121,15 @@ class Supervisor:
         if child.launched is not None and child.launched.pid == pid:
             self._heard(child, time.monotonic())
 
-    def step(self) -> int | None:
-        """Look after every child once, without waiting. Returns the exit code once the run is over, else None."""
+    def step(self, hears: bool = True) -> int | None:
+        """Look after every child once, without waiting. Returns the exit code once the run is over, else None.
+
+        hears: whether heartbeats can reach us; while they cannot, nobody's silence counts.
+        """
         now = time.monotonic()
         stall = now - self._stepped_s
         self._stepped_s = now
-        if stall > 1.0:  # it was us who slept (a suspended host): heartbeats were not missing, only not read
+        if stall > 1.0 or not hears:  # it is us who slept (a suspended host) or are deaf: nobody need have been silent
             for child in self._children.values():
                 child.beat_s += stall
         for child in self._children.values():

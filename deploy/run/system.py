@@ -9,10 +9,12 @@ import secrets
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.util import find_spec
 from pathlib import Path
 
+from deploy.run.hearing import Hearing
 from deploy.run.launch import temporary_folder
 from deploy.run.logs import rotate
 from deploy.run.model_choice import choose_model
@@ -21,16 +23,19 @@ from deploy.run.processes import (
     Process,
     RunOptions,
     data_folder,
+    door_of,
     free_port,
+    is_free,
+    links_of,
     listener_of,
     process_table,
     road_of,
-    router_endpoints,
+    speak_to,
 )
 from deploy.run.status import Live, happened
 from deploy.run.summary import Summary
 from deploy.run.supervisor import RestartPolicy, Supervisor, catch_signals
-from schemas.runtime.bus import Bus, BusConfig, BusError, open_bus
+from schemas.runtime.bus import Bus, BusError, open_bus
 from schemas.runtime.clock import NS
 from schemas.runtime.process import CONFIG, FAILED, OK, TRY_AGAIN, ConfigError
 from schemas.runtime.realtime import trial
@@ -53,33 +58,28 @@ def run_system(
 
     Data goes to stdout: the summary, with `as_json` alone, else the live lines as well.
     """
-    port = options.port or free_port()
     try:
         with contextlib.suppress(OSError):  # without it nothing is remembered, as the slow node says
             data_folder().mkdir(parents=True, exist_ok=True)
+        options = replace(options, port=options.port or free_port())
+        if _taken(options):
+            return TRY_AGAIN
         model = choose_model(options.model)
         road_of(options.scenario)  # a missing file is told before there is a run
         if options.record:
             _try_to_write(options.record)
         if options.foxglove and find_spec("foxglove") is None:
             raise ConfigError("foxglove-sdk is missing: pip install 'fastslow[foxglove]'")
-        with (
-            temporary_folder() as sockets,
-            open_bus(BusConfig(mode="router", listen=router_endpoints(sockets, port))) as bus,
-        ):
-            folder, kept = _folder_of(sockets)
-            rows = process_table(options, model, sockets, folder if kept else None) if table is None else table
-            return _Run(options, port, bus, rows, policy, folder, model.where, kept).to_its_end()
+        with temporary_folder() as sockets:
+            links = links_of(options, sockets)
+            links.write_logins()
+            with open_bus(links.supervisor()) as bus, open_bus(links.voice()) as voice:
+                folder, kept = _folder_of(sockets)
+                rows = process_table(options, model, links, folder if kept else None) if table is None else table
+                return _Run(options, bus, voice, rows, policy, folder, model.where, kept).to_its_end()
     except BusError as error:
-        if "in use" not in str(error):
-            print(f"fastslow: cannot listen on {TCP_HOST}:{port}: {error}", file=sys.stderr)
-            return CONFIG
-        holder = listener_of(port) or "another process"
-        print(
-            f"fastslow: port {port} is held by {holder}; stop it, or choose another with --port (0: any free one)",
-            file=sys.stderr,
-        )
-        return TRY_AGAIN
+        print(f"fastslow: there is no bus: {error}; set TMPDIR to another folder", file=sys.stderr)
+        return CONFIG
     except ConfigError as error:
         print(f"fastslow: {error}", file=sys.stderr)
         return CONFIG
@@ -90,6 +90,17 @@ def run_system(
             file=sys.stderr,
         )
         return CONFIG
+
+
+def _taken(options: RunOptions) -> bool:
+    """Whether somebody else has the door's port, who is then told of."""
+    host, port = door_of(options).address
+    if is_free(host, port):
+        return False
+    holder = listener_of(port) or "another process"
+    other = "--listen" if options.listen else "--port (0: any free one)"
+    print(f"fastslow: port {port} is held by {holder}; stop it, or choose another with {other}", file=sys.stderr)
+    return True
 
 
 def _try_to_write(path: Path) -> None:
@@ -127,22 +138,25 @@ class _Run:
     def __init__(
         self,
         options: RunOptions,
-        port: int,
         bus: Bus,
+        voice: Bus,
         table: tuple[Process, ...],
         policy: RestartPolicy | None,
         folder: Path,
         asked: str,
         kept: bool,
     ) -> None:
-        """asked: which language model, and whether words leave the machine for it. kept: whether the folder is."""
-        self._options, self._port, self._bus = options, port, bus
+        """voice: another link to `bus`. asked: which language model, and whether words leave the machine for it.
+        kept: whether the folder is.
+        """
+        self._options, self._bus = options, bus
         self._folder = folder
         self._log = open(self._folder / "supervisor.jsonl", "ab", buffering=0)  # noqa: SIM115 - as long as the run
         self._unkept = not kept
         self._out = sys.stderr if options.as_json else sys.stdout
         self._asked = asked
         self._supervisor = Supervisor(table, self._folder, self._notice, policy)
+        self._hearing = Hearing(voice, self._notice, time.monotonic())
         self._live = Live()
         self._spoken_for_s = 0.0
         self._refused, self._refused_told_s = 0, 0.0
@@ -164,7 +178,7 @@ class _Run:
         self._print(
             f"fastslow: {self._options.scenario}, scheduling {trial(self._options.realtime)}, "
             f'{"no logs" if self._unkept else f"logs in {self._folder}/"}; speak to it with: fastslow say "..."'
-            f"{'' if self._port == 7447 else f' --port {self._port}'}"
+            f"{speak_to(self._options)}"
         )
         if "slow" in supervisor.states:
             self._print(f"fastslow: the slow node asks {self._asked}")
@@ -176,7 +190,7 @@ class _Run:
                 while code is None and not signals.first:
                     time.sleep(STEP_S)
                     self._read_bus()
-                    code = supervisor.step()
+                    code = supervisor.step(self._hearing.hears(time.monotonic()))
                     self._begin_and_say()
                     self._speak_for_the_probed()
                     if code is None and self._overdue():
@@ -225,6 +239,7 @@ class _Run:
     def _read_bus(self) -> None:
         for status in self._status.take():
             self._supervisor.beat(status.node, status.pid)
+            self._hearing.heard(status, time.monotonic())
             self._live.status(status)
             self._tell_where_shown(status)
             self._summary.status(status)

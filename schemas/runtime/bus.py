@@ -1,8 +1,8 @@
 """The message bus. The only file that imports zenoh.
 
-Every session opens explicit endpoints, with discovery off: the supervisor's session is a router that listens on
-TCP loopback (for users) and on a Unix socket; our nodes are peers that also link to each other directly over Unix
-sockets, so that a tick never passes through the router.
+Every session opens explicit endpoints, with discovery off: the supervisor's session is a router on a Unix socket; our
+nodes are peers that also link to each other directly over Unix sockets, so that a tick never passes through the router.
+Users come through the door (`deploy.door`), which has a router of its own for them.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
-from msgspec import Struct
-
+from schemas.runtime.bus_settings import ONE_POOL as ONE_POOL
+from schemas.runtime.bus_settings import BusConfig as BusConfig
+from schemas.runtime.bus_settings import zenoh_settings
 from schemas.wire.codec import Fault, decode, encode
 from schemas.wire.messages import Message
 from schemas.wire.topics import PREFIX, Topic
@@ -24,23 +25,7 @@ from schemas.wire.topics import PREFIX, Topic
 M = TypeVar("M", bound=Message)
 T = TypeVar("T")
 
-ONE_POOL = "(rx:(handover:app),net:(handover:app),tx:(handover:app),acc:(handover:app),app:(worker_threads:1))"
-"""All of zenoh's thread pools in one thread: fewer hand-overs within a tick. Only safe with rings, which never block
-that thread, and we have nothing else."""
 ANNOUNCED = "/soon"
-
-
-class BusConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How a session reaches the others. Endpoints as zenoh has them: `tcp/127.0.0.1:7447`, `unixsock-stream/PATH`."""
-
-    mode: Literal["peer", "client", "router"] = "peer"
-    listen: tuple[str, ...] = ()
-    connect: tuple[str, ...] = ()
-    namespace: str = ""
-    """Put before every key, so that several cars can share one bus: `car-7` makes it `car-7/fastslow/ego/...`."""
-    low_latency: bool = False
-    """Links to others who want it as well carry no priorities and no fragments: 25 % faster, but a message over some
-    48 KB vanishes. Only for sessions whose every message is bounded; never for one that strangers send to."""
 
 
 class BusError(RuntimeError):
@@ -51,7 +36,10 @@ class Subscription(Protocol[T]):
     """A reader's end of a topic: a ring of the topic's depth in which the newest win."""
 
     def wait(self) -> T:
-        """The next message, blocking until there is one. Signal handlers run meanwhile, and may raise."""
+        """The next message, blocking until there is one. Signal handlers run meanwhile, and may raise.
+
+        Raises `BusError` where the session ends meanwhile.
+        """
         ...
 
     def poll(self, until_ns: int) -> T | None:
@@ -150,12 +138,16 @@ class Decoding(Generic[M]):
 class _ZenohBytes:
     """A zenoh ring of payloads."""
 
-    def __init__(self, subscriber: Any) -> None:
-        self._handler = subscriber.handler
+    def __init__(self, subscriber: Any, closed: type[Exception]) -> None:
+        """closed: what zenoh raises to a reader that waits when its session ends."""
+        self._handler, self._closed = subscriber.handler, closed
         self._newest: bytes | None = None
 
     def wait(self) -> bytes:
-        payload: bytes = self._handler.recv().payload.to_bytes()
+        try:
+            payload: bytes = self._handler.recv().payload.to_bytes()
+        except self._closed as error:
+            raise BusError(f"the session has ended: {error}") from None
         return payload
 
     def poll(self, until_ns: int) -> bytes | None:
@@ -216,8 +208,9 @@ class Arrivals:
 class ZenohBus:
     """A zenoh session with our topics on it. Open it with `open_bus`."""
 
-    def __init__(self, session: Any, ring: Any, drop: Any) -> None:
-        self._session, self._ring, self._drop = session, ring, drop
+    def __init__(self, session: Any, zenoh: Any) -> None:
+        self._session, self._ring, self._drop = session, zenoh.handlers.RingChannel, zenoh.CongestionControl.DROP
+        self._others, self._closed = zenoh.Locality.REMOTE, zenoh.ZError
         self._publishers: dict[str, Any] = {}
         self._subscribers: list[Any] = []
         self.faults: dict[str, int] = {}
@@ -274,6 +267,13 @@ class ZenohBus:
     def subscribe_bytes(self, topic: Topic[Any]) -> Subscription[bytes]:
         return self._ring_on(topic.key, topic.depth)
 
+    def subscribe_others(self, topic: Topic[Any]) -> Subscription[bytes]:
+        """Like `subscribe_bytes`, without what this very session publishes."""
+        ring = self._ring(topic.depth)
+        subscriber = self._session.declare_subscriber(topic.key, ring, allowed_origin=self._others)
+        self._subscribers.append(subscriber)
+        return _ZenohBytes(subscriber, self._closed)
+
     def subscribe_all(self, depth: int) -> Arrivals:
         """Every topic at once, for a recorder. `depth`: how many messages wait in the ring; the newest win."""
         subscriber = self._session.declare_subscriber(f"{PREFIX}/*", self._ring(depth))
@@ -283,35 +283,7 @@ class ZenohBus:
     def _ring_on(self, key: str, depth: int) -> _ZenohBytes:
         subscriber = self._session.declare_subscriber(key, self._ring(depth))
         self._subscribers.append(subscriber)
-        return _ZenohBytes(subscriber)
-
-
-def zenoh_settings(config: BusConfig) -> dict[str, object]:
-    """Every zenoh setting we make, by its configuration path; the reasons are in docs/performance.md."""
-    settings: dict[str, object] = {
-        "mode": config.mode,
-        "listen/endpoints": list(config.listen),
-        "connect/endpoints": list(config.connect),
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "transport/shared_memory/enabled": False,
-        "transport/link/tx/lease": 2000,
-        "open/return_conditions/connect_scouted": False,
-        "open/return_conditions/declares": True,
-    }
-    if config.namespace:
-        settings["namespace"] = config.namespace
-    if config.low_latency:
-        settings["transport/unicast/qos/enabled"] = False
-        settings["transport/unicast/lowlatency"] = True
-    if config.mode == "router":
-        # Batches of 64 KB, made when needed: whoever reads at a low priority may be late without losing a message.
-        settings["transport/link/tx/queue/size/data"] = 16
-    if config.mode != "client":
-        settings["connect/timeout_ms"] = -1  # keep trying, in the background
-        settings["connect/exit_on_failure"] = False
-        settings["connect/retry"] = {"period_init_ms": 20, "period_max_ms": 200, "period_increase_factor": 2}
-    return settings
+        return _ZenohBytes(subscriber, self._closed)
 
 
 @contextmanager
@@ -330,10 +302,10 @@ def open_bus(config: BusConfig) -> Iterator[ZenohBus]:
         for path, value in zenoh_settings(config).items():
             settings.insert_json5(path, json.dumps(value))
         session = zenoh.open(settings)
-    except zenoh.ZError as error:
+    except (zenoh.ZError, OSError, ValueError) as error:
         raise BusError(str(error).splitlines()[0]) from None
     try:
-        yield ZenohBus(session, zenoh.handlers.RingChannel, zenoh.CongestionControl.DROP)
+        yield ZenohBus(session, zenoh)
     finally:
         session.close()  # type: ignore[no-untyped-call]
 

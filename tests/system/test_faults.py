@@ -17,7 +17,7 @@ from typing import Any
 import psutil
 import pytest
 
-from deploy.run.processes import TCP_HOST, free_port
+from deploy.run.processes import TCP_HOST, free_port, listener_of
 from schemas.runtime.bus import BusConfig, ZenohBus, open_bus
 from schemas.wire import topics
 from schemas.wire.codec import encode
@@ -80,16 +80,12 @@ def driving(folder: Path, *more: str) -> Iterator[Drive]:
     process = start(folder, "--port", str(port), "--scenario", "highway", "--without", "slow", "--no-cockpit", *more)
     config = BusConfig(mode="client", connect=(f"tcp/{TCP_HOST}:{port}",))
     try:
-        until(lambda: any(c.status is not None for c in connections(process.pid, port)), "nobody listens")
+        until(lambda: listener_of(port), "nobody listens")
         with open_bus(config) as bus:
             yield Drive(process, bus)
     finally:
         process.kill()
         process.communicate(timeout=60)
-
-
-def connections(pid: int, port: int) -> list[Any]:
-    return [c for c in psutil.Process(pid).net_connections("tcp") if c.laddr and c.laddr.port == port]
 
 
 def alive(process: psutil.Process) -> bool:
@@ -122,13 +118,12 @@ def test_a_node_that_is_killed_or_hangs_comes_back_and_the_car_hits_nobody(
     assert new_world == (victim == "sim_node")
 
 
-def test_a_stranger_on_the_bus_neither_drives_the_car_nor_stops_it_and_is_told_of(
+def test_a_user_who_forges_whatever_there_is_neither_drives_the_car_nor_stops_it_nor_comes_through(
     tmp_path: Path, record_property: Record
 ) -> None:
     with driving(tmp_path) as drive:
         until(drive.applies_actions, "the fast node does not drive")
         first, pid = drive.newest, child_of(drive.process.pid, "fast_node")
-        beats = drive.bus.subscribe(topics.STATUS)
         bad = Directive(
             epoch=first.epoch, stamp_ns=0, id=1, command_id=1, scene_tick=0, target_speed_mps=math.nan, ttl_s=math.inf
         )
@@ -150,18 +145,14 @@ def test_a_stranger_on_the_bus_neither_drives_the_car_nor_stops_it_and_is_told_o
             drive.bus.publish_bytes(topics.DIRECTIVE, encode(bad))
             drive.bus.publish_bytes(topics.OBSERVATION, b"\xff" * 150_000)
         assert child_of(drive.process.pid, "fast_node") == pid
-        until(
-            lambda: any(beat.node == "sim" and beat.metrics.get("strays", 0) > 60 for beat in beats.take()),
-            "nobody tells of the strays",
-        )
         summary = drive.end()
     unanswered = summary["ticks"] - summary["answered"]
     told = f"{summary['strays']} strays, {sum(summary['refused_payloads'].values())} payloads refused"
     record_property("measured", f"{unanswered} of {summary['ticks']} ticks unanswered, {told}")
     assert (summary["collisions"], summary["restarts"]) == (0, 0)
     assert unanswered <= 6
-    assert summary["strays"] > 60
-    assert {"directive", "observation", "status", "event"} <= set(summary["refused_payloads"])
+    assert summary["strays"] == 0
+    assert set(summary["refused_payloads"]) <= {"command"}
 
 
 def test_a_policy_that_turns_slow_is_replaced_in_time_and_the_car_counts_as_degraded(

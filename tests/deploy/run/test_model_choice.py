@@ -10,7 +10,7 @@ import pytest
 
 from deploy.run.doctor import doctor
 from deploy.run.model_choice import choose_model
-from deploy.run.processes import Model, ModelOptions, RunOptions, process_table
+from deploy.run.processes import Model, ModelOptions, RunOptions, links_of, process_table
 from schemas.runtime.process import CONFIG, FAILED, OK, ConfigError
 from slow_node.config import SlowConfig
 from slow_node.llm.endpoint import OPENAI_URL, ollama_url
@@ -138,7 +138,7 @@ def test_budget_and_tokens_reach_the_slow_node_and_the_key_reaches_no_command_li
     monkeypatch.setenv("OPENAI_API_KEY", "secret-of-mine")
     monkeypatch.setenv("FASTSLOW_DATA", str(tmp_path))
     options = RunOptions(model=ModelOptions(budget_s=45.0, max_tokens=9000))
-    rows = process_table(options, choose_model(options.model), tmp_path, tmp_path)
+    rows = process_table(options, choose_model(options.model), links_of(options, tmp_path), tmp_path)
     slow = json.loads(next(row for row in rows if row.name == "slow").argv[-1])
     assert (slow["budget_s"], slow["max_tokens"]) == (45.0, 9000)
     assert "secret-of-mine" not in repr(rows)

@@ -9,12 +9,13 @@ import socket
 import subprocess
 import sys
 import textwrap
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from deploy.run.processes import Model, Process, RunOptions, free_port, listener_of, process_table
+from deploy.run.processes import Model, Process, RunOptions, free_port, links_of, listener_of, process_table
 from deploy.run.status import Live
 from deploy.run.summary import Summary
 from deploy.run.supervisor import RestartPolicy, Supervisor
@@ -119,6 +120,18 @@ def test_a_process_whose_heart_stops_is_killed_and_restarted(watch: Callable[...
     watched.until(lambda: watched.supervisor.pid("fast") not in (None, first))
     watched.supervisor.beat("fast", first)  # a heartbeat that the dead one had sent
     assert not watched.ready("fast")
+
+
+def test_nobody_is_killed_for_silence_while_the_supervisor_is_deaf(watch: Callable[..., Watched]) -> None:
+    watched = watch(fake("fast", SLEEPER, heartbeat_s=0.2))
+    watched.until(lambda: watched.ready("fast"))
+    deaf_until_s = time.monotonic() + 1.0
+    while time.monotonic() < deaf_until_s:
+        watched.supervisor.step(hears=False)
+        time.sleep(0.01)
+    assert watched.supervisor.restarts["fast"] == 0
+    watched.hearts.clear()
+    watched.until(lambda: watched.supervisor.restarts["fast"] == 1)
 
 
 def test_the_run_ends_when_what_drives_keeps_failing(watch: Callable[..., Watched]) -> None:
@@ -302,21 +315,23 @@ def test_doctor_reports_in_json() -> None:
 
 def test_the_table_says_who_matters() -> None:
     model = Model(base_url="http://127.0.0.1:1/v1", name="x", embedded=True, port=1)
-    table = {p.name: p for p in process_table(RunOptions(duration_s=4.0), model, Path("/tmp/s"))}
+    options = RunOptions(duration_s=4.0)
+    table = {p.name: p for p in process_table(options, model, links_of(options, Path("/tmp/s")))}
     assert [p.name for p in table.values() if p.critical] == ["fast", "sim"]
     config = json.loads(table["sim"].argv[-1])
     assert (config["scenario"], config["duration_s"]) == ("two-way-natural", 4.0)
     assert "unixsock-stream//tmp/s/bus.sock" in config["bus"]["connect"]
     cloud = Model(base_url="https://x/v1", name="x", embedded=False)
-    names = [p.name for p in process_table(RunOptions(without=("fast",)), cloud, Path("/tmp/s"))]
-    assert names == ["sim", "slow"]
+    options = RunOptions(without=("fast",))
+    names = [p.name for p in process_table(options, cloud, links_of(options, Path("/tmp/s")))]
+    assert names == ["door", "sim", "slow"]
 
 
 def test_the_simulator_is_told_the_text_of_a_scenario_file(tmp_path: Path) -> None:
     road = tmp_path / "mine.toml"
     road.write_text('base = "merge"\nduration_s = 9\n', encoding="utf-8")
     options, nobody = RunOptions(scenario=str(road), traffic=("sway",)), Model(base_url="", name="", embedded=False)
-    [argv] = [p.argv for p in process_table(options, nobody, tmp_path) if p.name == "sim"]
+    [argv] = [p.argv for p in process_table(options, nobody, links_of(options, tmp_path)) if p.name == "sim"]
     told = load_config(SimConfig, [argv[-1]])
     assert (told.road().name, told.road().duration_s, told.road().manners.sway_m) == ("mine", 9.0, 0.3)
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from deploy.run.processes import Model, RunOptions, process_table
+from deploy.run.processes import Model, RunOptions, links_of, process_table
 from schemas.runtime import realtime
 from schemas.runtime.realtime import FIFO, may_poll, shared_core
 
@@ -166,7 +166,10 @@ def said_by(process: subprocess.Popen[str]) -> str:
 def test_simulator_and_fast_node_share_one_core_without_asking_each_other() -> None:
     nobody = Model(base_url="http://127.0.0.1:1/v1", name="none", embedded=False)
     with tempfile.TemporaryDirectory(prefix="fastslow-") as sockets:
-        table = {p.name: p for p in process_table(RunOptions(realtime="user"), nobody, Path(sockets))}
+        options = RunOptions(realtime="user")
+        links = links_of(options, Path(sockets))
+        links.write_logins()
+        table = {p.name: p for p in process_table(options, nobody, links)}
         with running(*table["fast"].argv) as fast, running(*table["sim"].argv) as sim:
             assert said_by(fast) == said_by(sim)
             assert os.sched_getaffinity(fast.pid) == os.sched_getaffinity(sim.pid) == {shared_core()}
@@ -190,7 +193,7 @@ def test_the_process_of_the_model_is_scheduled_last() -> None:
     group = Path("/proc/self/autogroup")
     wanted = "nice 19" if group.exists() and group.read_text() else ""
     embedded = Model(base_url="http://127.0.0.1:1/v1", name="x", embedded=True, port=1)
-    table = {p.name: p for p in process_table(RunOptions(), embedded, Path("/tmp/unused"))}
+    table = {p.name: p for p in process_table(RunOptions(), embedded, links_of(RunOptions(), Path("/tmp/unused")))}
     with running(*table["llm"].argv) as model:
         seen = (-1, "")
         while model.poll() is None and seen != (os.SCHED_IDLE, wanted):

@@ -1,0 +1,157 @@
+"""How the processes of one run reach each other, and what each link may carry.
+
+Their sockets lie in a folder that only this user may enter. Who links to another gives its name and a password of this
+run; whom one has called oneself is known by its socket. Each end lets in only what the other may say.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from schemas.runtime.bus import BusConfig
+from schemas.runtime.bus_settings import Grant, Tls
+from schemas.wire.roles import NODES, ROLES, Role, Topics, own
+
+TCP_HOST = "127.0.0.1"
+_DIRECT = ("sim", "fast", "slow")
+"""These link to each other; all others meet at the supervisor's router."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DoorOptions:
+    """Where users come in, and who they are."""
+
+    listen: str
+    """zenoh's endpoint: `tcp/127.0.0.1:7447`, or `tls/0.0.0.0:7447` with `tls`."""
+    tls: Tls | None = None
+    """With certificates, whose common names are roles; without, everybody is a passenger."""
+    name: str = ""
+    """Of this car, before every key outside."""
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """(host, port) of `listen`."""
+        host, _, port = self.listen.partition("/")[2].rpartition(":")
+        return host.strip("[]"), int(port)
+
+
+def roles_of(door: DoorOptions, left_out: Collection[str] = ()) -> dict[str, Role]:
+    """What those may who come through the door, by the common name of their certificate ("": whoever comes).
+
+    left_out: our nodes that do not run. Others may stand in for these, and for no other.
+    """
+    stand_ins = [name for name in _DIRECT if name in left_out]
+    if door.tls is not None:
+        return {name: ROLES[name] for name in ("passenger", "operator", "recorder", *stand_ins)}
+    roles = [ROLES[name] for name in ("passenger", *stand_ins)]
+    return {"": Role(puts=_together(role.puts for role in roles), reads=_together(role.reads for role in roles))}
+
+
+def carried(door: DoorOptions, left_out: Collection[str] = ()) -> tuple[Topics, Topics]:
+    """(in, out): the topics that pass a door."""
+    roles = roles_of(door, left_out).values()
+    return _together(role.puts for role in roles), _together(role.reads for role in roles)
+
+
+def _together(some: Iterable[Topics]) -> Topics:
+    """Each topic once."""
+    return tuple({topic.name: topic for topics in some for topic in topics}.values())
+
+
+@dataclass(frozen=True)
+class Links:
+    """The links of one run, in `folder`, which is there and is this user's alone."""
+
+    folder: Path
+    door: DoorOptions | None = None
+    left_out: frozenset[str] = frozenset()
+    ids: dict[str, str] = field(default_factory=lambda: {name: f"f{secrets.token_hex(15)}" for name in NODES})
+
+    @property
+    def logins(self) -> Path:
+        return self.folder / "logins"
+
+    def write_logins(self) -> None:
+        """A password for each process, for the time of this run."""
+        with open(os.open(self.logins, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w", encoding="ascii") as file:
+            file.writelines(f"{name}:{secrets.token_hex(16)}\n" for name in NODES)
+
+    def socket(self, name: str) -> str:
+        return f"unixsock-stream/{self.folder / name}.sock"
+
+    def may_put(self, name: str) -> tuple[str, ...]:
+        """The keys that a process of ours may put."""
+        lets_in = carried(self.door, self.left_out)[0] if name == "door" and self.door else ()
+        return own(*_together((NODES[name], lets_in)))
+
+    def supervisor(self) -> BusConfig:
+        """Of the router at which all meet."""
+        grants = tuple(Grant(logins=(name,), puts=self.may_put(name)) for name in NODES)
+        return BusConfig(
+            mode="router",
+            listen=(self.socket("bus"),),
+            id=self.ids["supervisor"],
+            logins=str(self.logins),
+            grants=grants,
+        )
+
+    def voice(self) -> BusConfig:
+        """Of the supervisor's own link to that router, by which it hears whether it hears."""
+        return msgspec.convert(self.client("supervisor"), BusConfig)
+
+    def peer(self, name: str, *called: str) -> dict[str, Any]:
+        """Of a node that links to the supervisor and to those that are `called`, and may be called by the others."""
+        # The router brings what those may say who are not linked to this node directly.
+        brought = tuple({key: None for other in NODES if other not in _DIRECT for key in self.may_put(other)})
+        grants = [Grant(ids=(self.ids["supervisor"],), puts=brought)]
+        for other in _DIRECT:
+            if other != name:
+                who: dict[str, Any] = {"ids": (self.ids[other],)} if other in called else {"logins": (other,)}
+                grants.append(Grant(puts=self.may_put(other), **who))
+        return _plain(
+            BusConfig(
+                listen=(self.socket(name),),
+                connect=tuple(map(self.socket, ("bus", *called))),
+                # A thought or a recording may be long: links to the router and to slow stay ordinary.
+                low_latency=name in ("sim", "fast"),
+                id=self.ids[name],
+                login=name,
+                logins=str(self.logins),
+                grants=tuple(grants),
+            )
+        )
+
+    def client(self, name: str) -> dict[str, Any]:
+        """Of a process that links to the supervisor alone."""
+        connect = (self.socket("bus"),)
+        return _plain(BusConfig(mode="client", connect=connect, login=name, logins=str(self.logins)))
+
+    def outside(self) -> dict[str, Any]:
+        """Of the router where users come."""
+        assert self.door is not None
+        grants = tuple(
+            Grant(certificates=(name,) if name else (), puts=own(*role.puts), reads=own(*role.reads))
+            for name, role in roles_of(self.door, self.left_out).items()
+        )
+        return _plain(
+            BusConfig(
+                mode="router",
+                listen=(self.door.listen,),
+                namespace=self.door.name,
+                tls=self.door.tls,
+                grants=grants,
+                for_strangers=True,
+            )
+        )
+
+
+def _plain(config: BusConfig) -> dict[str, Any]:
+    found: dict[str, Any] = msgspec.to_builtins(config)
+    return found
