@@ -24,7 +24,7 @@ setup-dev: .venv/.dev
 # torch first and alone: it is the largest by far.
 .venv/.dev: .venv/.driver
 	$(BIN)/python -m pip install -q -c constraints.txt torch
-	$(BIN)/python -m pip install -q -c constraints.txt -e '.[llm,train,view,otel,ray,foxglove,dev]'
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[llm,train,view,otel,ray,foxglove,sumo,dev]'
 	touch $@
 
 run: setup

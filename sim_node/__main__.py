@@ -14,7 +14,7 @@ import numpy as np
 
 from schemas.runtime.bus import Bus, Subscription, ZenohBus, open_bus
 from schemas.runtime.clock import NS, MonotonicClock, Schedule
-from schemas.runtime.process import Heartbeat, Trace, load_config, log, run_node
+from schemas.runtime.process import ConfigError, Heartbeat, Trace, load_config, log, run_node
 from schemas.runtime.realtime import claim, may_poll
 from schemas.wire.messages import Action, Event, EventKind, MetaAction, Observation
 from schemas.wire.topics import ACTION, CONTROL, EVENT, OBSERVATION, STATUS
@@ -242,7 +242,10 @@ def warm_up(config: SimConfig) -> None:
 def main() -> None:
     config = load_config(SimConfig, sys.argv[1:])
     trace = Trace(config.trace)
-    warm_up(config)
+    try:
+        warm_up(config)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
     node = SimNode(config)
     node.reset(time.monotonic_ns() // 1_000_000)  # grows at every restart, so old actions can never be taken for new
     node.announce("at the simulator's start", time.monotonic_ns())

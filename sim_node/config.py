@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 from schemas.driving.road import HZ
 from schemas.runtime.process import NodeConfig
@@ -17,6 +18,8 @@ class SimConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """A road's name, or that of a file whose text is `scenario_toml`."""
     scenario_toml: str = ""
     """The text, not the path: so a recording has all of the road, whatever becomes of the file."""
+    sim: Literal["highway-env", "sumo"] = "highway-env"
+    """Whose drivers are in the other cars."""
     seed: int = 0
     """Of the first episode; each further episode takes the next one."""
     duration_s: float | None = None

@@ -29,7 +29,7 @@ from sim_node.observe import perceived, rows
 from sim_node.road import LaneMap, has_left, network
 from sim_node.scenario_file import find_scenario
 from sim_node.scenarios import Scenario
-from sim_node.scenarios.scenario import streams
+from sim_node.scenarios.scenario import Spawn, streams
 
 Guard = Callable[["ScenarioEnv", int], int]
 """Called before every tick with the environment and the action; what it returns is done. The safety mask goes here."""
@@ -332,8 +332,13 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
             neighbour_vehicles_connected_lanes=s.connected_lanes,
         )
         self.config["neighbour_vehicles_connected_lanes"] = s.connected_lanes
-        self.vehicle = populate(self.road, s, self.lane_map, s.spawn(traffic), 1.0 / self.hz)
+        spawn = s.spawn(traffic)
+        self.vehicle = populate(self.road, s, self.lane_map, spawn, 1.0 / self.hz)
+        self._populated(seed, spawn)
         self._wishes.begin(wishes, self.rows().tolist(), self.ego.target_lane)
+
+    def _populated(self, seed: int, spawn: Spawn) -> None:
+        """The cars of the seed's episode are on the road: for who moves them otherwise."""
 
     def _info(self, obs: NDArray[np.float32], action: int | None = None) -> dict[str, Any]:
         return {

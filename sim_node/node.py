@@ -18,6 +18,7 @@ from sim_node.env import ScenarioEnv
 from sim_node.gate import answers
 from sim_node.metrics import Recorder
 from sim_node.mode import ModeKeeper
+from sim_node.sumo.env import SumoEnv
 
 HOLD_TICKS = 2
 """Without an answer, the set-points hold for this many ticks; from the next one on the ego brakes."""
@@ -74,7 +75,8 @@ class SimNode:
         """Take another road, or other traffic on it; the next `reset` begins there, with the configuration's seed."""
         self._config = config
         self._first = self.metrics.episodes
-        self._env = ScenarioEnv(
+        kind = SumoEnv if config.sim == "sumo" else ScenarioEnv
+        self._env = kind(
             config.road(),
             hz=config.hz,
             decision_hz=config.hz,

@@ -20,6 +20,7 @@ from deploy.cli.options import (
     NoiseM,
     NoiseMps,
     Port,
+    Sim,
     Traffic,
     names,
 )
@@ -31,6 +32,7 @@ commands = typer.Typer()
     epilog="Examples:\n\n  fastslow run\n\n"
     '  fastslow run --duration 40 --say "I\'m in a hurry" --say-at 3 --json\n\n'
     "  fastslow run --scenario highway --density 2 --traffic trucks,sway\n\n"
+    "  fastslow run --sim sumo --scenario merge-natural\n\n"
     "  fastslow run --policy mine:load    (your own policy: a callable load in mine.py that returns it)\n\n"
     "  fastslow run --without fast        (to bring your own node)\n\n"
     "  fastslow run --base-url localhost:11434 --model qwen3:8b --budget-s 30    (Ollama)\n\n"
@@ -41,6 +43,7 @@ def run(
     scenario: Annotated[
         str, typer.Option(metavar="NAME|FILE.toml", help="Where: a road's name, or a file that changes one.")
     ] = "two-way-natural",
+    sim: Sim = "highway-env",
     seed: Annotated[int, typer.Option(min=0, help="Which traffic there is on it.")] = 0,
     density: Density = 1.0,
     traffic: Traffic = "",
@@ -100,7 +103,7 @@ def run(
     max_tokens: MaxTokens = None,
 ) -> None:
     """Start the simulator, the fast and the slow node, the language model and the cockpit, and watch over them."""
-    from deploy.run.processes import NAMES, ModelOptions, RunOptions
+    from deploy.run.processes import NAMES, SIMS, ModelOptions, RunOptions
 
     unknown = sorted(set(without or ()) - set(NAMES))
     if unknown:
@@ -109,6 +112,8 @@ def run(
         raise typer.BadParameter("contradicts --record: leave one out", param_hint="'--no-record'")
     from schemas.runtime.realtime import MODES
 
+    if sim not in SIMS:
+        raise typer.BadParameter(f"{sim}: choose from {', '.join(SIMS)}", param_hint="'--sim'")
     if realtime not in MODES:
         raise typer.BadParameter(f"{realtime}: choose from {', '.join(MODES)}", param_hint="'--realtime'")
     from deploy.run.system import run_system
@@ -117,6 +122,7 @@ def run(
         run_system(
             RunOptions(
                 scenario=scenario,
+                sim=sim,
                 seed=seed,
                 duration_s=duration,
                 port=port,

@@ -23,6 +23,7 @@ from deploy.cli.options import (
     NoiseM,
     NoiseMps,
     Ray,
+    Sim,
     Traffic,
     names,
     readable_ends,
@@ -53,6 +54,7 @@ def pair_of(checkpoints: list[Path], *, alone: bool) -> list[str]:
     "  fastslow evaluate --scenario highway --density 2 --directive-at 10 --first-seed 5200\n\n"
     "  fastslow evaluate --all --episodes 300 --keep runs/roads.jsonl --jobs 2\n\n"
     "  fastslow evaluate --scenario highway --wish 23 --wish 25 --wish 28 --plot tradeoff.png\n\n"
+    "  fastslow evaluate --sim sumo --scenario merge-natural --agent ours --agent sumo-eidm --episodes 300\n\n"
     "  fastslow evaluate --scenario merge --agent rule --episodes 20 --video films\n\n" + EXITS
 )
 def evaluate(
@@ -81,6 +83,7 @@ def evaluate(
             show_default="highway, merge, two-way",
         ),
     ] = None,
+    sim: Sim = "highway-env",
     density: Density = 1.0,
     traffic: Traffic = "",
     everything: Annotated[bool, typer.Option("--all", help="Every agent on every scenario.")] = False,
@@ -202,6 +205,7 @@ def evaluate(
             noise_m=noise_m,
             noise_mps=noise_mps,
             dropout=dropout,
+            sim=sim,
             progress=lambda text: typer.echo(text, err=True),
             each=each,
             film=None if video is None else film,

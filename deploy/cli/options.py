@@ -23,6 +23,9 @@ Traffic = Annotated[
         show_default="the road's own",
     ),
 ]
+Sim = Annotated[
+    str, typer.Option(metavar="NAME", help="Whose drivers are in the other cars: highway-env or sumo (extra sumo).")
+]
 NoiseM = Annotated[float, typer.Option(min=0.0, help="Error of perceived positions, standard deviation.")]
 NoiseMps = Annotated[float, typer.Option(min=0.0, help="Error of perceived speeds, standard deviation.")]
 Dropout = Annotated[float, typer.Option(min=0.0, max=0.9, help="Chance that a car goes unseen at a tick.")]

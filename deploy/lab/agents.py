@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from deploy.lab.episodes import DIRECTIVES, Directive, Watch, Words, always, by_the_tick, reckless, record, task_of
+from deploy.run.processes import SIMS
 from fast_node.mask import PRESETS
 from fast_node.policies.checkpoint import read_sidecar
 from fast_node.policies.load import OURS, load_policy
@@ -20,6 +21,7 @@ from sim_node.observe import senses
 from sim_node.results import EpisodeResult
 from sim_node.scenarios import Scenario
 from sim_node.scenarios.scenario import streams
+from sim_node.sumo.world import SumoWorld
 
 
 @dataclass(frozen=True)
@@ -57,10 +59,12 @@ AGENTS: dict[str, Agent] = {
     },
 }
 """What drives, by name."""
-WORDLESS = ("idm", "brake", "reckless")
+WORDLESS = ("idm", "brake", "reckless", "sumo")
 """What is no policy: it is not asked with a policy's input."""
 USE_OURS = ("ours-unmasked", "rule", "random-masked")
 """Those that a checkpoint of ours changes, too: it brings the mask's preset."""
+SUMO_DRIVERS = {"sumo-krauss": "Krauss", "sumo-eidm": "EIDM"}
+"""SUMO's own driver in the ego's place, as fast as the road admits; only in SUMO's traffic."""
 LANGUAGE: dict[str, str] = {
     "dilu-paused": "a language model alone, one decision a second (DiLu's method); the world waits while it thinks",
     "dilu-running": "the same, and the world goes on while it thinks",
@@ -95,16 +99,27 @@ def drive(
     noise_mps: float = 0.0,
     dropout: float = 0.0,
     watch: Watch | None = None,
+    sim: str = "highway-env",
 ) -> list[EpisodeResult]:
     """One episode per seed, with that seed's traffic and a directive (see `Directive`) from the start or from
     `directive_at_s` on, without words until then, and with another wished speed than the directive's where one is
     given. `checkpoint` takes the place of the shipped policy of the agent that it was trained as; ours also brings the
     mask's preset, for whoever drives behind the mask, unless another is given.
 
-    noise_m, noise_mps, dropout: of what it perceives, see `sim_node.observe.perceived`.
+    noise_m, noise_mps, dropout: of what it perceives, see `sim_node.observe.perceived`. sim: one of `SIMS`; SUMO's
+    seeds follow one another.
 
-    Raises `ConfigError` for an unusable policy or checkpoint and ValueError for an unknown agent or preset.
+    Raises `ConfigError` for an unusable policy or checkpoint, and where SUMO is missing, and ValueError for an unknown
+    agent, preset or sim.
     """
+    if sim not in SIMS:
+        raise ValueError(f"sim {sim!r} is not one of: {', '.join(SIMS)}")
+    model = None
+    if sim == "sumo":
+        if agent == "idm":
+            raise ValueError(f"idm is highway-env's: in SUMO there are {', '.join(SUMO_DRIVERS)}")
+        if isinstance(agent, str) and (model := SUMO_DRIVERS.get(agent)) is not None:
+            agent = Agent("SUMO's own driver", "sumo")
     if mask_preset is not None and mask_preset not in PRESETS:
         raise ValueError(f"mask preset {mask_preset!r} is not one of: {', '.join(PRESETS)}")
     if directive not in DIRECTIVES:
@@ -117,11 +132,17 @@ def drive(
     policy = load_policy("constant:cruise" if who.policy in WORDLESS else str(replaced or who.policy))
     preset = mask_preset or (load_policy(str(checkpoint)) if own == "ours" else policy).mask_preset
     kind: Literal["idm", "executor"] = "idm" if who.policy == "idm" else "executor"
-    world = Batched(scenario, len(seeds), 0, ego=kind, actuator=who.masked or who.checked)
+    checked = who.masked or who.checked
+    if sim == "sumo":
+        world: Batched = SumoWorld(scenario, len(seeds), seeds[0], ego_model=model, actuator=checked)
+    else:
+        world = Batched(scenario, len(seeds), 0, ego=kind, actuator=checked)
     sense = senses(seeds, noise_m, noise_mps, dropout)
     fleet = Fleet(world, task_of(scenario, preset), masked=who.masked, sense=sense)
     for i, seed in enumerate(seeds):
         world.load(i, scenario.spawn(streams(seed)[0]))
+    if isinstance(world, SumoWorld):
+        world.begin()
     words = Words(fleet, scenario, seeds, directive, directive_at_s, wish_mps)
     driver = None
     if who.policy == "reckless":
@@ -133,7 +154,10 @@ def drive(
         step = by_the_tick(driver)
     if watch is not None:
         step = watch(fleet, driver, step)
-    return record(fleet, scenario, step, words)
+    results = record(fleet, scenario, step, words)
+    if isinstance(world, SumoWorld):
+        world.close()
+    return results
 
 
 def behind_the_mask(spec: str) -> Agent:

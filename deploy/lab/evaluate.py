@@ -42,6 +42,7 @@ def evaluate_all(
     noise_m: float = 0.0,
     noise_mps: float = 0.0,
     dropout: float = 0.0,
+    sim: str = "highway-env",
     progress: Callable[[str], None] = lambda _: None,
     each: list[Episode] | None = None,
     film: Film | None = None,
@@ -56,10 +57,10 @@ def evaluate_all(
 
     `policies`, as `load_policy` takes them, drive behind the mask and are agents under these names. Without agents and
     policies the one whose policy is in `checkpoint` drives, or ours. Raises `ConfigError` for a checkpoint that none
-    of the agents uses, and as `drive` does, which noise_m, noise_mps and dropout are for. Every episode is appended to
-    `each`. `film` is called for every row. Raises ValueError for one of a driver of `LANGUAGE`, whose model is not
-    asked the same twice. `farm`: where the rows are driven (None: here, one after the other); `kept`: what has been
-    driven before, and where it is kept.
+    of the agents uses, and as `drive` does, which noise_m, noise_mps, dropout and sim are for. Every episode is
+    appended to `each`. `film` is called for every row. Raises ValueError for one of a driver of `LANGUAGE`, whose
+    model is not asked the same twice. `farm`: where the rows are driven (None: here, one after the other); `kept`: what
+    has been driven before, and where it is kept.
     """
     own = trained_as(checkpoint) if checkpoint else "ours"
     if agents is None:
@@ -73,6 +74,7 @@ def evaluate_all(
         "noise_m": noise_m,
         "noise_mps": noise_mps,
         "dropout": dropout,
+        "sim": sim,
     }
     for agent in agents:
         if agent in LANGUAGE:
@@ -129,6 +131,8 @@ def _refuse_for_language(agent: str, conditions: dict[str, Any], filmed: bool) -
         raise ValueError(f"{agent} has its directive from the start, and no mask")
     if conditions["noise_m"] or conditions["noise_mps"] or conditions["dropout"]:
         raise ValueError(f"{agent} sees everything as it is: leave noise and dropout out")
+    if conditions["sim"] != "highway-env":
+        raise ValueError(f"{agent} drives in highway-env only: leave --sim out")
     if filmed:
         raise ValueError(f"{agent} drives otherwise each time: leave --video out")
 

@@ -26,6 +26,8 @@ from slow_node.llm.endpoint import where
 DEFAULT_PORT = 7447
 FOXGLOVE_PORT = 8765
 """Where Foxglove and Lichtblick look first."""
+SIMS = ("highway-env", "sumo")
+"""Whose drivers are in the other cars."""
 NAMES = ("sim", "fast", "slow", "llm", "record")
 
 
@@ -97,6 +99,8 @@ class RunOptions:
 
     scenario: str = "two-way-natural"
     """A name, or the path of a scenario file."""
+    sim: str = "highway-env"
+    """Whose drivers are in the other cars, as `sim_node.config.SimConfig` has it."""
     seed: int = 0
     density: float = 1.0
     traffic: tuple[str, ...] = ()
@@ -206,6 +210,7 @@ def process_table(options: RunOptions, model: Model, links: Links, folder: Path 
     sim: dict[str, object] = {
         **critical("sim", "fast"),
         **road_of(options.scenario),
+        "sim": options.sim,
         "seed": options.seed,
         "density": options.density,
         "traffic": options.traffic,

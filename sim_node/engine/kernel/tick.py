@@ -1,4 +1,4 @@
-"""The kernel's two entries, compiled: advance every scene, settle one."""
+"""The kernel's entries, compiled: advance every scene, settle one, show what somebody else has moved."""
 
 from __future__ import annotations
 
@@ -92,5 +92,17 @@ def _settle(
     publish(ego, view, scratch, f_s, g_s, scene)
 
 
+def _show(calls: Calls, scratch: Scratch, f: Any, g: Any, ego: Ego, view: View) -> None:
+    """Of every scene whose cars somebody else has moved: who touches the ego, and the rows."""
+    for scene in range(f.shape[0]):
+        f_s, g_s = f[scene], g[scene]
+        directions(calls, scratch, f_s)
+        if not (ego.freezes and g_s[CRASHED, 0]):
+            collide(calls, scratch, f_s, g_s, 0.0)
+            ego.crashed[scene] = g_s[CRASHED, 0] != 0
+        publish(ego, view, scratch, f_s, g_s, scene)
+
+
 advance = compiled(_advance, inline=True, error_model="numpy", _nrt=False)
 settle = compiled(_settle, inline=True, error_model="numpy", _nrt=False)
+show = compiled(_show, inline=True, error_model="numpy", _nrt=False)
