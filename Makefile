@@ -4,7 +4,7 @@ BIN := .venv/bin
 TEXT ?= I'm in a hurry to get to work, I want to drive faster
 export TEXT
 
-.PHONY: setup setup-dev run say test parity difficulty study policy baselines film picture check mutants faults soak wheel-test clean
+.PHONY: setup setup-dev run say test parity difficulty study policy baselines film picture screenshots check mutants faults soak wheel-test clean
 .DEFAULT_GOAL := run
 
 # What driving, speaking and evaluating need: no torch.
@@ -68,6 +68,10 @@ baselines: setup-dev
 # The README's film, after the policy has changed.
 film: setup-dev
 	$(BIN)/fastslow video --scenario two-way-natural --seed 1008 --duration 18 --say-at 1 -o docs/drive.gif $(ARGS)
+
+# The cockpit's screenshots: docs/cockpit.png and reports/cockpit-*.png.
+screenshots: setup-dev
+	$(BIN)/python -m tests.pictures $(ARGS)
 
 # The picture of a delay in docs/roads.md.
 picture: setup-dev

@@ -235,6 +235,8 @@ class Picture:
         plan = self._shown_plan(now_ns)
         if plan is not None:
             frame["directive"] = plan
+        elif self._plan is not None:
+            frame["wished"] = True  # and stands, until another wish replaces it
         if self._waits is not None:
             frame["waits_for"] = self._waits[1]
         elif plan is not None and plan["state"] in ("active", "delayed") and plan["waits_for"]:

@@ -90,7 +90,8 @@ def _gif(path: Path, pictures: Iterable[Picture], hz: float) -> int:
 
 
 def _with_one_palette(packed: list[bytes], size: tuple[int, int]) -> Iterator[Any]:
-    """The frames in colours that they share, rare ones among them: a car is small, and its colour means something."""
+    """The frames in colours that they share: half are those of large areas, as they are. The other half covers the
+    rest, rare ones among them: a car is small, and its colour means something."""
     from PIL import Image
 
     def frame(data: bytes) -> Any:
@@ -100,7 +101,13 @@ def _with_one_palette(packed: list[bytes], size: tuple[int, int]) -> Iterator[An
     sheet = Image.new("RGB", (size[0], size[1] * len(some)))
     for k, data in enumerate(some):
         sheet.paste(frame(data), (0, k * size[1]))
-    palette = sheet.quantize(GIF_COLOURS, method=Image.Quantize.MAXCOVERAGE)
+    channels = np.asarray(sheet, np.int64).reshape(-1, 3)
+    colours, counts = np.unique(channels @ np.array((1 << 16, 1 << 8, 1)), return_counts=True)
+    common = colours[np.argsort(-counts)[: GIF_COLOURS // 2]].astype(np.int64)
+    large = np.stack([common >> 16, common >> 8 & 255, common & 255], axis=1).ravel().tolist()
+    rest = sheet.quantize(GIF_COLOURS // 2, method=Image.Quantize.MAXCOVERAGE).getpalette() or []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(large + rest)
     for data in packed:
         yield frame(data).quantize(palette=palette, dither=Image.Dither.NONE)
 

@@ -50,6 +50,7 @@ export class Panels {
     if (!frame.cars) return;
     const ego = frame.cars[0];
     text($("v"), Math.max(ego[3], 0).toFixed(1));
+    text($("kmh"), `${(3.6 * Math.max(ego[3], 0)).toFixed(0)} km/h`);
     text($("vset"), frame.set_speed.toFixed(1));
     text($("vlimit"), (frame.limits[ego[8]] ?? 0).toFixed(0));
     const trend = (n, faster, slower) => (n.ttc !== null ? `TTC ${n.ttc.toFixed(0)} s` : Math.abs(n.speed - ego[3]) < 0.5 ? "same speed" : n.speed > ego[3] ? faster : slower);
@@ -100,13 +101,15 @@ export class Panels {
 
   directive(frame) {
     const d = frame.directive;
-    text($("d-state"), d ? d.state : "none");
-    mark($("d-state"), "is", d?.state ?? null);
-    $("d-next").hidden = !frame.waits_for;
+    const state = d?.state ?? (frame.waits_for ? "waiting" : null);
+    text($("d-state"), state ?? "none");
+    mark($("d-state"), "is", state);
+    $("d-next").hidden = !frame.waits_for || !d;
     text($("d-next"), frame.waits_for ? `The next step waits for ${frame.waits_for}.` : "");
     const box = $("directive");
     if (!d) {
-      if (box.dataset.id !== "none") { box.replaceChildren(make("p", { className: "empty", textContent: "Nothing is wished. The car keeps its speed and its lane." })); box.dataset.id = "none"; }
+      const words = frame.waits_for ? `Understood. The first step waits for ${frame.waits_for}.` : frame.wished ? "Nothing is under way. What was wished for stands until another wish replaces it." : "Nothing is wished. The car chooses its lane and drives as usual.";
+      if (box.dataset.id !== words) { box.replaceChildren(make("p", { className: "empty", textContent: words })); box.dataset.id = words; }
       return;
     }
     if (box.dataset.id !== String(d.id)) {

@@ -1,6 +1,6 @@
 // What was said, thought and has happened.
 
-import { $, make } from "./dom.js";
+import { $, make, mark } from "./dom.js";
 
 const KEPT = 300;
 const EXAMPLES = [
@@ -22,6 +22,7 @@ export class Talk {
 
   clear() {
     this.commands.clear();
+    mark($("more"), "slim", null);
     $("bubbles").replaceChildren(make("p", { className: "empty", textContent: "Say what you would like, in your own words. The car answers here." }));
     $("events").replaceChildren();
     $("thoughts").replaceChildren(make("p", { className: "empty", textContent: "For each command: what the slow part read, recalled and answered, and what was changed. Say something first." }));
@@ -43,6 +44,7 @@ export class Talk {
   }
 
   command(note) {
+    mark($("more"), "slim", "");  // one line of examples: from now on the conversation has the room
     const bubble = make("div", { className: "said", textContent: note.text });
     this.commands.set(note.id, { text: note.text, t: note.t });
     this.add($("bubbles"), bubble);
@@ -51,7 +53,7 @@ export class Talk {
   reply(note) {
     if (note.outcome === "heard" && !note.waits_for) return;
     const command = this.commands.get(note.command_id);
-    const small = make("small", {}, make("span", { className: "tag", textContent: note.waits_for ? "waiting" : note.outcome, data: { is: BAD.includes(note.outcome) ? "failed" : note.outcome === "fulfilled" ? "fulfilled" : "policy" } }));
+    const small = make("small", {}, make("span", { className: "tag", textContent: note.waits_for ? "waiting" : note.outcome, data: { is: note.waits_for ? "waiting" : BAD.includes(note.outcome) ? "failed" : note.outcome === "fulfilled" ? "fulfilled" : "policy" } }));
     if (command) small.append(`${Math.max(note.t - command.t, 0).toFixed(1)} s later `);
     if (note.why) small.append(`· ${note.why} `);
     const link = make("button", { type: "button", textContent: "thought", hidden: !document.getElementById(`thought-${note.command_id}`) });

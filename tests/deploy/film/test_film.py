@@ -14,7 +14,7 @@ from schemas.runtime.clock import NS
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import Command, Event, EventKind, Message, Reason, Reply
 from sim_node.config import SimConfig
-from sim_node.drawing import EGO, picture
+from sim_node.drawing import ASPHALT, EGO, GRASS, PANEL, picture
 from tests.scenes import HIGHWAY, car, directive, observation
 
 PICTURES = [np.full((40, 80, 3), 6 * k, np.uint8) for k in range(30)]
@@ -74,6 +74,16 @@ def test_a_gif_keeps_the_colour_of_a_small_car(tmp_path):
     with image.open(tmp_path / "x.gif") as film:
         film.seek(5)
         assert (np.abs(np.asarray(film.convert("RGB"), int) - EGO).sum(-1) < 30).sum() > 100
+
+
+def test_a_gif_keeps_the_colours_of_road_and_verge(tmp_path):
+    image = pytest.importorskip("PIL.Image")
+    scenes = [picture(observation(car(0, 100 + k, 1, 20), lanes=HIGHWAY)) for k in range(9)]
+    write_film(tmp_path / "x.gif", iter(scenes))
+    with image.open(tmp_path / "x.gif") as film:
+        film.seek(5)
+        shown = np.asarray(film.convert("RGB"), int)
+    assert all((np.abs(shown - colour).max(-1) <= 1).sum() > 10_000 for colour in (GRASS, ASPHALT, PANEL))
 
 
 def test_an_mp4_has_every_picture_at_the_rate_of_the_drive(tmp_path):
