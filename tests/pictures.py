@@ -167,7 +167,7 @@ def _replay(browser: Any, run: Run) -> None:
     import sys
 
     [recording] = run.folder.glob("runs/*/recording.mcap")
-    argv = [sys.executable, "-m", "deploy", "replay", str(recording), "--port", "0"]
+    argv = [sys.executable, "-m", "deploy", "replay", str(recording), "--cockpit-port", "0"]
     with subprocess.Popen(argv, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
         try:
             line = aside(functools.partial(until, lambda: process.stdout and process.stdout.readline(), "no address"))
