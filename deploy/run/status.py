@@ -96,6 +96,13 @@ class Live:
         return f"{' '.join(wishes)}, {left_s:.0f} s left"
 
 
+COLUMNS = (
+    "a line a second: tick and road | how it is driven | speed and lane | what the passenger wished for | who decided | "
+    "age of what the car did, median/99 % | ticks without an answer in time"
+)
+"""What `Live.line` shows, for who sees it for the first time."""
+
+
 def mode_of(status: Status, now_ns: int) -> str:
     """How the car is driven, why and since when: "DEGRADED for 3 s: no answer in time"."""
     since = f" for {(now_ns - status.mode_since_ns) / NS:.0f} s" if status.mode_since_ns else ""

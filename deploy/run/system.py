@@ -32,7 +32,7 @@ from deploy.run.processes import (
     road_of,
     speak_to,
 )
-from deploy.run.status import Live, happened
+from deploy.run.status import COLUMNS, Live, happened
 from deploy.run.summary import Summary
 from deploy.run.supervisor import RestartPolicy, Supervisor, catch_signals
 from schemas.runtime.bus import Bus, BusError, open_bus
@@ -182,6 +182,7 @@ class _Run:
         )
         if "slow" in supervisor.states:
             self._print(f"fastslow: the slow node asks {self._asked}")
+        self._print(f"fastslow: {COLUMNS}")
         with catch_signals(supervisor.kill) as signals:
             try:
                 code = None

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from deploy.run.processes import Model, Process, RunOptions, free_port, links_of, listener_of, process_table
-from deploy.run.status import Live
+from deploy.run.status import COLUMNS, Live
 from deploy.run.summary import Summary
 from deploy.run.supervisor import RestartPolicy, Supervisor
 from deploy.run.system import run_system
@@ -383,6 +383,7 @@ def test_the_live_line_shows_what_is_going_on() -> None:
     live.observation(Observation(epoch=1, stamp_ns=0, tick=30, scenario="two-way", lanes=(), rows=b""))
     live.directive(Directive(epoch=1, stamp_ns=0, id=9, command_id=5, scene_tick=1, manoeuvre="overtake"))
     assert "overtake, 28 s left" in live.line(2 * 10**9)
+    assert len(live.line(0).split(" | ")) == len(COLUMNS.split(" | ")) - 1  # nobody has told how it is driven yet
     reply = Reply(epoch=1, stamp_ns=0, command_id=5, outcome="fulfilled", text="faster", say="Done.", directive_id=9)
     assert 'fulfilled   "faster": "Done."' in live.reply(reply)
     assert "no directive" in live.line(2 * 10**9)
