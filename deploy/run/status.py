@@ -97,7 +97,7 @@ class Live:
 
 
 COLUMNS = (
-    "a line a second: tick and road | how it is driven | speed and lane | what the passenger wished for | who decided | "
+    "a line a second: tick and road | how it is driven | speed and lane | what is wished for | who decided | "
     "age of what the car did, median/99 % | ticks without an answer in time"
 )
 """What `Live.line` shows, for who sees it for the first time."""
