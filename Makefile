@@ -83,7 +83,7 @@ check: setup-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# What the tests of mask, choice, codec and coordination notice: reports/mutants.json, and why the rest is let through.
+# What the tests of mask, choice, codec, coordination and actuator notice: reports/mutants.json, and why the rest is let through.
 mutants: setup-dev
 	$(BIN)/python -m tests.mutants $(ARGS)
 

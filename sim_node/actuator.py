@@ -32,6 +32,8 @@ OTHERS_BRAKE_MPS2 = 9.0
 """The most that a car ahead brakes with."""
 FACING_BRAKE_MPS2 = 2.5
 """What an oncoming car is sure to brake with for an ego in its lane."""
+FACING_S = 3.0
+"""It comes on at its present speed while the ego brakes, for so long at most: a slow one brakes late."""
 ROOM_M = 0.5
 """Left when both stand."""
 BEHIND_REACTION_S, BEHIND_BRAKE_MPS2, SHOWN_BRAKE_MPS2, BEHIND_M = 0.5, 6.0, 5.0, 2.0
@@ -126,7 +128,10 @@ def room_behind(other: float, v: float, reaction_s: float) -> float:
 def room_ahead(v: float, other: float) -> float:
     """The gap [m] from which the ego, at `v`, stops behind a car ahead at speed `other`, or before an oncoming one."""
     if other < AGAINST_MPS:
-        return ROOM_M + rss_opposite_m(v, -other, REACTION_S, 0.0, FACING_BRAKE_MPS2, EGO_BRAKE_MAX_MPS2)
+        stop = v * REACTION_S + 0.5 * v * v / EGO_BRAKE_MAX_MPS2
+        comes = -other * min(FACING_S, v / EGO_BRAKE_MAX_MPS2)
+        need = rss_opposite_m(v, -other, REACTION_S, 0.0, FACING_BRAKE_MPS2, EGO_BRAKE_MAX_MPS2)
+        return ROOM_M + max(need, stop + comes)
     return ROOM_M + rss_same_direction_m(v, max(other, 0.0), REACTION_S, 0.0, EGO_BRAKE_MAX_MPS2, OTHERS_BRAKE_MPS2)
 
 
