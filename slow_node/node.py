@@ -208,15 +208,18 @@ class SlowNode:
         self._bus.publish(topics.THOUGHT, shortened(thought))
 
     async def _remember(self, effect: Remember) -> None:
-        await asyncio.to_thread(
-            self._memory.learn,
-            effect.command,
-            describe(effect.scene),
-            effect.slots,
-            effect.outcome,
-            effect.took_s,
-            effect.min_ttc_s,
-        )
+        try:
+            await asyncio.to_thread(
+                self._memory.learn,
+                effect.command,
+                describe(effect.scene),
+                effect.slots,
+                effect.outcome,
+                effect.took_s,
+                effect.min_ttc_s,
+            )
+        except Exception as error:  # a bank that is locked, full, or damaged meanwhile: the car drives on without
+            log(NAME, "memory", f"not kept: {type(error).__name__}: {error}"[:300])
 
 
 def build(bus: Bus, config: SlowConfig) -> tuple[SlowNode, Memory]:

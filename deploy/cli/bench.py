@@ -11,7 +11,9 @@ from typing import Annotated
 
 import typer
 
-app = typer.Typer(
+from deploy.cli.bounded import Commands
+
+app = Commands(
     name="bench",
     help="Measure what the runtime costs, on this machine and on the real processes.",
     no_args_is_help=True,

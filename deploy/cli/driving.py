@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from deploy.cli.bounded import Commands
 from deploy.cli.options import (
     DEFAULT_PORT,
     EXITS,
@@ -25,7 +26,7 @@ from deploy.cli.options import (
     names,
 )
 
-commands = typer.Typer()
+commands = Commands()
 
 
 @commands.command(

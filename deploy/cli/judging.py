@@ -10,6 +10,7 @@ from typing import Annotated, Any, cast
 
 import typer
 
+from deploy.cli.bounded import Commands
 from deploy.cli.options import (
     EXITS,
     BaseUrl,
@@ -29,7 +30,7 @@ from deploy.cli.options import (
     readable_ends,
 )
 
-commands = typer.Typer()
+commands = Commands()
 
 
 def pair_of(checkpoints: list[Path], *, alone: bool) -> list[str]:

@@ -8,10 +8,11 @@ from typing import Annotated
 
 import typer
 
+from deploy.cli.bounded import Commands
 from deploy.cli.options import EXITS, Json, Ray, readable_ends
 from deploy.cli.settings import read_config, settings
 
-commands = typer.Typer()
+commands = Commands()
 
 
 @commands.command(

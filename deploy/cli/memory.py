@@ -6,21 +6,25 @@ import json
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deploy.cli.bounded import Commands
+from schemas.runtime.files import lines_bounded
 from schemas.wire.text import json_line, plain
 
 if TYPE_CHECKING:
     from slow_node.memory.bank import Example, Memory
 
-app = typer.Typer(
+app = Commands(
     name="memory", help="Look into what the car remembers, and edit it.", no_args_is_help=True, rich_markup_mode=None
 )
 
+LINE_BYTES, EXAMPLES_MOST = 100_000, 20_000
+"""Of an example on file, and of a file, at most."""
 Bank = Annotated[Path | None, typer.Option(help="The bank's SQLite file.", show_default="the one that runs use")]
 Json = Annotated[bool, typer.Option("--json", help="Data as JSON on stdout.")]
 
@@ -123,16 +127,19 @@ def import_(
     """Learn examples from a file; what the bank knows already is merged. Nothing is kept unless every line is good."""
     from slow_node.memory.bank import Row
 
-    with _usable(source):
-        text = sys.stdin.read() if source == "-" else Path(source).read_text("utf-8")
-    examples = []
-    for number, line in enumerate(text.split("\n"), 1):  # not splitlines: a command may hold U+2028
-        if not line.strip():
-            continue
-        try:
-            examples.append(Row.model_validate_json(line).learnt())
-        except ValueError as error:
-            raise _wrong(f"line {number}: {_reason(error)}") from None
+    examples: list[Example] = []
+    with _usable(source), nullcontext(sys.stdin.buffer) if source == "-" else open(source, "rb") as opened:
+        for number, line in enumerate(lines_bounded(opened, LINE_BYTES), 1):
+            if line is not None and not line.strip():
+                continue
+            if line is None or len(examples) >= EXAMPLES_MOST:
+                most = f"{LINE_BYTES:,} bytes" if line is None else f"{EXAMPLES_MOST:,} examples, ten times a bank's"
+                raise _wrong(f"line {number}: more than {most}")
+            text = line.decode()
+            try:
+                examples.append(Row.model_validate_json(text).learnt())
+            except ValueError as error:
+                raise _wrong(f"line {number}: {_reason(error)}") from None
     with _bank(bank) as memory:
         stored = memory.add(examples)
     typer.echo(f"{stored} examples imported from {len(examples)} lines", err=True)

@@ -26,8 +26,8 @@ Traffic = Annotated[
 Sim = Annotated[
     str, typer.Option(metavar="NAME", help="Whose drivers are in the other cars: highway-env or sumo (extra sumo).")
 ]
-NoiseM = Annotated[float, typer.Option(min=0.0, help="Error of perceived positions, standard deviation.")]
-NoiseMps = Annotated[float, typer.Option(min=0.0, help="Error of perceived speeds, standard deviation.")]
+NoiseM = Annotated[float, typer.Option(min=0.0, max=100.0, help="Error of perceived positions, standard deviation.")]
+NoiseMps = Annotated[float, typer.Option(min=0.0, max=100.0, help="Error of perceived speeds, standard deviation.")]
 Dropout = Annotated[float, typer.Option(min=0.0, max=0.9, help="Chance that a car goes unseen at a tick.")]
 ModelName = Annotated[
     str | None,
@@ -52,7 +52,11 @@ BudgetS = Annotated[
 MaxTokens = Annotated[
     int | None,
     typer.Option(
-        min=1, metavar="N", help="Of the model's answer, its thoughts included.", show_default="2000; embedded 120"
+        min=1,
+        max=1_000_000,
+        metavar="N",
+        help="Of the model's answer, its thoughts included.",
+        show_default="2000; embedded 120",
     ),
 ]
 Ray = Annotated[

@@ -8,9 +8,10 @@ from typing import Annotated
 
 import typer
 
+from deploy.cli.bounded import Commands
 from deploy.cli.options import EXITS, Json, readable_ends
 
-commands = typer.Typer()
+commands = Commands()
 File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording, such as runs/.../recording.mcap.")]
 
 

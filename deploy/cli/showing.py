@@ -10,9 +10,10 @@ from typing import Annotated, Any
 
 import typer
 
+from deploy.cli.bounded import Commands
 from deploy.cli.options import EXITS, Density, Traffic, names, readable_ends
 
-commands = typer.Typer()
+commands = Commands()
 
 
 @commands.command(

@@ -7,9 +7,10 @@ from typing import Annotated
 
 import typer
 
+from deploy.cli.bounded import Commands
 from deploy.cli.options import EXITS, Full, Json, readable_ends
 
-commands = typer.Typer()
+commands = Commands()
 
 
 @commands.command(
@@ -39,7 +40,7 @@ def thoughts(
         from deploy.record.thoughts import find, kept_in, worded
 
         file = find(run)
-        kept = kept_in(file)[-(last or 0) :]
+        kept = kept_in(file, last)
         if as_json:
             rows = [{"time": one.time, **msgspec.to_builtins(one.thought)} for one in kept]
             typer.echo(json.dumps({"schema": "fastslow.thoughts/1", "file": str(file), "thoughts": rows}))

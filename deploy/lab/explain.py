@@ -27,7 +27,7 @@ def explain(text: str, scene_path: Path | None, *, as_json: bool, full: bool, **
     """Print the thought about one command, and what comes of it. Exit code."""
     try:
         scene = read_scene(scene_path)
-    except (OSError, ValueError) as error:
+    except ValueError as error:
         print(f"fastslow: {error}", file=sys.stderr)
         return USAGE
     trace = Trace()

@@ -7,7 +7,7 @@ import contextlib
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sized
 from pathlib import Path
 from typing import IO, Any
 
@@ -15,10 +15,13 @@ import numpy as np
 
 from deploy.lab.interpreter import running_interpreter
 from schemas.driving.measures import CAR_LENGTH_M
+from schemas.runtime.files import lines_bounded, read_text_bounded
 from schemas.runtime.process import CONFIG, FAILED, OK, USAGE, ConfigError
+from schemas.wire.bounds import LANES_MAX, check
 from schemas.wire.messages import Directive, Lane, Observation
 from schemas.wire.program import Program, plain
 from schemas.wire.text import json_line
+from schemas.wire.text import plain as plain_text
 from slow_node.interpreter import Interpreter
 from slow_node.planning.directive import ASKS, Refusal, directive_of
 from slow_node.planning.scene import Scene, encode_scene
@@ -44,6 +47,9 @@ NO_SLOTS: dict[str, Any] = {
     "cancel": False,
 }
 MAX_TEXT = 3000
+VEHICLES_MAX = 200
+LINE_BYTES = 100_000
+"""Of an input line: a text in any letters, and a scene."""
 
 
 class LineError(ValueError):
@@ -64,6 +70,8 @@ def scene_of(value: object) -> Scene:
     try:
         limit = float(merged["limit_mps"])
         count = merged["lanes"]
+        if not 1 <= (count if isinstance(count, int) else len(count)) <= LANES_MAX:
+            raise LineError(f"scene: 1 to {LANES_MAX} lanes")
         each = [{} for _ in range(count)] if isinstance(count, int) else list(count)
         lanes = tuple(
             Lane(
@@ -82,31 +90,40 @@ def scene_of(value: object) -> Scene:
         vehicles = list(merged["vehicles"] if "vehicles" in value or "lead" not in value else [])
         if value.get("lead"):
             vehicles.append(value["lead"])
+        if len(vehicles) > VEHICLES_MAX:
+            raise LineError(f"scene: {len(vehicles)} vehicles, {VEHICLES_MAX} at most")
         rows = [(0, 0.0, 4.0 * ego, float(merged["speed_mps"]), 0, 0, CAR_LENGTH_M, 2, ego)]
         for number, other in enumerate(vehicles, 1):
             lane, gap = int(other.get("lane", ego)), float(other["gap_m"])
             x = gap + CAR_LENGTH_M if gap >= 0 else gap - CAR_LENGTH_M
             rows.append((number, x, 4.0 * lane, float(other["speed_mps"]), 0, 0, CAR_LENGTH_M, 2, lane))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        if isinstance(error, LineError):
-            raise
-        raise LineError(f"scene: {type(error).__name__}: {error}") from None
-    return encode_scene(
-        Observation(
+        with np.errstate(over="ignore"):
+            packed = np.array(rows, np.float32).tobytes()
+        seen = Observation(
             epoch=0,
             stamp_ns=time.monotonic_ns(),
             tick=0,
-            scenario=str(merged.get("scenario", "highway")),
+            scenario=str(merged.get("scenario", "highway"))[:80],
             lanes=lanes,
-            rows=np.array(rows, np.float32).tobytes(),
+            rows=packed,
             target_lane=ego,
         )
-    )
+        check(seen)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        if isinstance(error, LineError):
+            raise
+        raise LineError(f"scene: {type(error).__name__}: {error}") from None
+    return encode_scene(seen)
 
 
 def read_scene(path: Path | None) -> Scene:
-    """The scene in a JSON file; None: the default one. Raises `OSError` or `ValueError`."""
-    return scene_of(json.loads(path.read_text("utf-8")) if path else DEFAULT_SCENE)
+    """The scene in a JSON file; None: the default one. Raises `ValueError` where it is of no use."""
+    try:
+        return scene_of(json.loads(read_text_bounded(path)) if path else DEFAULT_SCENE)
+    except RecursionError:
+        raise LineError("scene: nested too deep") from None
+    except ConfigError as error:
+        raise LineError(str(error)) from None
 
 
 async def interpret(interpreter: Interpreter, text: str, scene: Scene, trace: Trace | None = None) -> dict[str, Any]:
@@ -143,14 +160,19 @@ async def interpret(interpreter: Interpreter, text: str, scene: Scene, trace: Tr
 
 
 def interpret_lines(
-    lines: list[str], default: Scene, interpreter: Interpreter, write: Callable[[dict[str, Any]], None]
+    lines: Iterable[str | bytes | None],
+    default: Scene,
+    interpreter: Interpreter,
+    write: Callable[[dict[str, Any]], None],
 ) -> tuple[int, int]:
-    """Interpret input lines one by one; every non-empty line yields one output line. Commands and errors counted."""
+    """Interpret input lines one by one, as they come; every non-empty line yields one output line. None: one that was
+    too long. Commands and errors counted."""
+    total = len(lines) if isinstance(lines, Sized) else 0
 
     async def run() -> tuple[int, int]:
         done = errors = 0
         for number, line in enumerate(lines, 1):
-            if not line.strip():
+            if line is not None and not line.strip():
                 continue
             identity: object = f"line-{number}"
             text = ""
@@ -181,17 +203,19 @@ def interpret_lines(
             errors += result["outcome"] == "error"
             done += 1
             write({"id": identity, **result})
-            _progress(done, len(lines))
+            _progress(done, total)
         await interpreter.close()
         return done, errors
 
     return asyncio.run(run())
 
 
-def _row(line: str) -> dict[str, Any]:
+def _row(line: str | bytes | None) -> dict[str, Any]:
+    if line is None:
+        raise LineError(f"longer than {LINE_BYTES:,} bytes")
     try:
-        row = json.loads(line)
-    except ValueError as error:
+        row = json.loads(line if isinstance(line, str) else line.decode(errors="replace"))
+    except (ValueError, RecursionError) as error:
         raise LineError(f"not JSON: {error}") from None
     if not isinstance(row, dict):
         raise LineError('not a JSON object like {"id": 1, "text": "go faster"}')
@@ -209,32 +233,29 @@ def _checked(row: dict[str, Any], default: Scene) -> Scene:
 
 
 def _progress(done: int, total: int) -> None:
+    """total 0: as many as come."""
+    of = f"/{total}" if total else ""
     if sys.stderr.isatty():
-        print(f"\r{done}/{total}", end="\n" if done == total else "", file=sys.stderr, flush=True)
+        print(f"\r{done}{of}", end="\n" if done == total else "", file=sys.stderr, flush=True)
     elif done % 100 == 0 or done == total:
-        print(f"{done}/{total}", file=sys.stderr, flush=True)
+        print(f"{done}{of}", file=sys.stderr, flush=True)
 
 
 def batch(source: str, target: str, scene_path: Path | None, **options: Any) -> int:
     """`fastslow interpret --input --output`; "-" is stdin or stdout. Exit code."""
     try:
-        lines = (
-            (sys.stdin.buffer.read() if source == "-" else Path(source).read_bytes())
-            .decode("utf-8", errors="replace")
-            .splitlines()
-        )
-        default = read_scene(scene_path)
+        default, given = read_scene(scene_path), _input(source)
     except (OSError, ValueError) as error:
-        print(f"fastslow: {error}", file=sys.stderr)
+        print(f"fastslow: {plain_text(str(error), 300)}", file=sys.stderr)
         return USAGE
     try:
-        with _open(target) as out, running_interpreter(**options) as interpreter:
+        with given, _open(target) as out, running_interpreter(**options) as interpreter:
 
             def write(row: dict[str, Any]) -> None:
                 out.write(json_line(row) + "\n")
                 out.flush()
 
-            done, errors = interpret_lines(lines, default, interpreter, write)
+            done, errors = interpret_lines(lines_bounded(given, LINE_BYTES), default, interpreter, write)
     except OSError as error:
         print(f"fastslow: {error}", file=sys.stderr)
         return FAILED
@@ -243,6 +264,11 @@ def batch(source: str, target: str, scene_path: Path | None, **options: Any) -> 
         return CONFIG
     print(f"{done} commands interpreted, {errors} errors", file=sys.stderr)
     return OK
+
+
+def _input(source: str) -> IO[bytes]:
+    """Opened, to be read as it comes; "-": stdin. Raises OSError, or ValueError for a path that is none."""
+    return sys.stdin.buffer if source == "-" else open(source, "rb")
 
 
 @contextlib.contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import deque
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,11 +12,16 @@ import msgspec
 from msgspec import Struct
 
 from deploy.record.reader import NotARecordingError, open_recording
+from schemas.runtime.files import lines_bounded
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import Thought
 from schemas.wire.text import plain
 from slow_node.config import THOUGHTS
 
+LINE_BYTES = 4_000_000
+"""Of a thought on file: a few answers, each bounded by a quarter of that."""
+MOST = 20_000
+"""Thoughts that are shown at once, the newest: days of a passenger who never stops."""
 SHOWN_CHARS = 240
 """Of each text, unless all is asked for."""
 LABEL = 10
@@ -42,13 +48,14 @@ def find(where: Path | None) -> Path:
     return file
 
 
-def kept_in(file: Path) -> list[Kept]:
-    """The thoughts in a run's JSONL file, or in a recording (there cut to the bus's size), oldest first.
+def kept_in(file: Path, last: int | None = None) -> list[Kept]:
+    """The thoughts in a run's JSONL file, or in a recording (there cut to the bus's size), oldest first; of those the
+    newest `last`.
 
     Lines that are none are left out and told of on stderr. Raises `ConfigError` for a file of another kind.
     """
     try:
-        return list(_recorded(file) if file.suffix == ".mcap" else _written(file))
+        return list(deque(_recorded(file) if file.suffix == ".mcap" else _written(file), min(last or MOST, MOST)))
     except (OSError, NotARecordingError) as error:
         raise ConfigError(f"{file} cannot be read: {error}") from None
 
@@ -61,9 +68,11 @@ def _recorded(file: Path) -> Iterator[Kept]:
 
 def _written(file: Path) -> Iterator[Kept]:
     bad, good = 0, 0
-    with file.open("rb") as lines:
-        for line in lines:
+    with file.open("rb") as opened:
+        for line in lines_bounded(opened, LINE_BYTES):
             try:
+                if line is None:
+                    raise msgspec.ValidationError("too long")
                 row = msgspec.json.decode(line, type=dict[str, object])
                 kept = Kept(str(row.pop("time", "")), msgspec.convert(row, Thought))
             except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
@@ -80,7 +89,7 @@ def _written(file: Path) -> Iterator[Kept]:
 def worded(kept: Kept, *, full: bool = False) -> list[str]:
     """Lines for a terminal. full: with all of every text."""
     thought = kept.thought
-    clock = kept.time[11:19]
+    clock = plain(kept.time[11:19])
     by = f", by {plain(thought.source)}" if thought.source else ""
     lines = [f"{clock} {plain(thought.command)!r}: {plain(thought.outcome)}{by}".strip()]
     for label, text in _parts(thought):

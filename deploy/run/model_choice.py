@@ -14,11 +14,11 @@ from schemas.wire.text import plain
 from slow_node.config import BUDGET_S
 from slow_node.llm.answer import told
 from slow_node.llm.embedded import own_weights
-from slow_node.llm.endpoint import OPENAI_URL, checked_key, endpoint_url, ollama_url
+from slow_node.llm.endpoint import OPENAI_URL, checked_key, checked_model, endpoint_url, ollama_url
 from slow_node.llm.errors import ModelError
 
-KEY = "OPENAI_API_KEY"
-VARIABLES = (KEY, "OPENAI_BASE_URL", "OPENAI_MODEL", "OLLAMA_HOST")
+KEY, MODEL = "OPENAI_API_KEY", "OPENAI_MODEL"
+VARIABLES = (KEY, "OPENAI_BASE_URL", MODEL, "OLLAMA_HOST")
 """What names an endpoint."""
 LIST_S = 5.0
 """How long an endpoint may take to list its models."""
@@ -36,10 +36,10 @@ def choose_model(options: ModelOptions | None = None) -> Model:
     try:
         base_url = _base_url(options)
         key = checked_key(os.environ.get(KEY, ""), KEY)
+        name = checked_model(options.name or "", "--model") or checked_model(os.environ.get(MODEL, ""), MODEL)
     except ValueError as error:
         raise ConfigError(str(error)) from None
     rest: dict[str, Any] = {"budget_s": options.budget_s or BUDGET_S, "max_tokens": options.max_tokens or 0}
-    name = options.name or os.environ.get("OPENAI_MODEL", "")
     if base_url:
         name = name or ("gpt-4o-mini" if base_url == OPENAI_URL else _only_model(base_url, key))
         return Model(base_url=base_url, name=name, embedded=False, **rest)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import stat
+from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
 
 from schemas.runtime.errors import ConfigError
 from schemas.wire.text import plain
@@ -38,3 +40,15 @@ def read_text_bounded(path: Path, most_bytes: int = SETTING_BYTES) -> str:
         return read_bounded(path, most_bytes).decode()
     except UnicodeDecodeError as error:
         raise ConfigError(f"{plain(str(path), 300)} is not UTF-8 (byte {error.start}): save it as UTF-8") from None
+
+
+def lines_bounded(file: IO[bytes], most_bytes: int) -> Iterator[bytes | None]:
+    """The lines of an open file without their ends, one at a time; None for each that is longer than `most_bytes`, of
+    which no more is ever in memory."""
+    while line := file.readline(most_bytes + 1):
+        if len(line) <= most_bytes or line.endswith(b"\n"):
+            yield line.rstrip(b"\r\n")
+            continue
+        while (rest := file.readline(most_bytes)) and not rest.endswith(b"\n"):
+            pass
+        yield None

@@ -16,6 +16,7 @@ from msgspec import Struct
 
 from schemas.runtime.process import ConfigError, load_config, log, run_node
 from schemas.runtime.realtime import yield_to_others
+from schemas.wire.text import plain
 from slow_node.llm.embedding import package_file
 
 NAME = "embedded"
@@ -63,13 +64,18 @@ def weights_path() -> Path:
 
 def own_weights(path: Path) -> Path:
     """A GGUF file of the user's own, `path` itself. Raises `ConfigError` for anything else."""
+    name = plain(str(path), 200)
     try:
-        with path.open("rb") as file:
-            magic = file.read(4)
+        magic = b""
+        if path.is_file():  # a pipe would be waited for
+            with path.open("rb") as file:
+                magic = file.read(4)
+        elif not path.exists():
+            raise ConfigError(f"there is no file {name}: give the path of a GGUF file")
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; give the path of a GGUF file") from None
+        raise ConfigError(f"{name}: {error.strerror}; give the path of a GGUF file") from None
     if magic != b"GGUF":
-        raise ConfigError(f"{path} is no GGUF file: give the weights of a chat model in llama.cpp's format")
+        raise ConfigError(f"{name} is no GGUF file: give the weights of a chat model in llama.cpp's format")
     return path
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ipaddress
 from urllib.parse import parse_qsl, urlsplit
 
+from schemas.wire.text import plain
+
 OPENAI_URL = "https://api.openai.com/v1"
 OLLAMA_PORT = 11434
 PATHS = {"openrouter.ai": "/api/v1"}
@@ -12,6 +14,8 @@ PATHS = {"openrouter.ai": "/api/v1"}
 AZURE = (".openai.azure.com", ".services.ai.azure.com", ".cognitiveservices.azure.com")
 _ROUTES = ("/chat/completions", "/completions", "/responses", "/models")
 """What people copy along from an example."""
+URL_CHARS, MODEL_CHARS, KEY_CHARS = 1000, 200, 4000
+"""Of an address, a model's name and a key at most: the longest in use are far shorter."""
 _QUERY = ("api-version",)
 """All that a query may hold: anything else might be a secret, and an address is shown and logged."""
 
@@ -22,6 +26,8 @@ def endpoint_url(text: str) -> str:
     Raises ValueError, which names the fix, for what is none, and for one with a secret in it.
     """
     text = text.strip()
+    if len(text) > URL_CHARS or not text.isprintable():
+        raise ValueError("the base URL must look like http://127.0.0.1:8000/v1")
     if "://" not in text:
         text = f"{'http' if _near(_host(f'//{text}')) else 'https'}://{text}"
     host = _host(text)
@@ -53,6 +59,8 @@ def endpoint_url(text: str) -> str:
 def ollama_url(variable: str) -> str:
     """The base URL for a value of OLLAMA_HOST, which may be an address to listen on. Raises ValueError."""
     variable = variable.strip().strip("\"'").rstrip("/")
+    if len(variable) > URL_CHARS or not variable.isprintable() or variable in ("http:", "https:"):
+        raise ValueError(f"OLLAMA_HOST={plain(variable, 40)}: it must look like 127.0.0.1:11434 or [::1]:11434")
     bare = "://" not in variable
     if bare and _is_ipv6(variable):  # without brackets, as a shell user writes it
         variable = f"[{variable}]"
@@ -64,6 +72,8 @@ def ollama_url(variable: str) -> str:
         port = parts.port or (OLLAMA_PORT if bare else {"https": 443}.get(parts.scheme, 80))
     except ValueError:
         raise ValueError(f"OLLAMA_HOST={variable}: the port is no number in 1..65535") from None
+    if "@" in parts.netloc:
+        raise ValueError("OLLAMA_HOST holds a name or a password: take it out, and put the key into OPENAI_API_KEY")
     host = parts.hostname or "127.0.0.1"
     if host in ("0.0.0.0", "::"):  # where a server listens, not where it is
         host = "127.0.0.1"
@@ -74,9 +84,19 @@ def ollama_url(variable: str) -> str:
 def checked_key(key: str, variable: str) -> str:
     """The key without surrounding blanks. Raises ValueError, without the key, for one that no header can carry."""
     key = key.strip()
+    if len(key) > KEY_CHARS:
+        raise ValueError(f"{variable} has {len(key)} characters, more than any key: copy it once more")
     if any(not 32 < ord(c) < 127 for c in key):
         raise ValueError(f"{variable} holds a character that no key has (a blank, an umlaut, ...): copy it once more")
     return key
+
+
+def checked_model(name: str, variable: str) -> str:
+    """A model's name without surrounding blanks. Raises ValueError for what is none."""
+    name = name.strip()
+    if len(name) > MODEL_CHARS or plain(name) != name:
+        raise ValueError(f"{variable} is no model's name: give one of at most {MODEL_CHARS} letters, such as qwen3:8b")
+    return name
 
 
 def is_loopback(base_url: str) -> bool:

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import math
 import sqlite3
+import stat
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -30,6 +32,8 @@ MAX_LEARNT = 2000
 """The bank's bound: beyond it the oldest learnt example goes."""
 SAME_COSINE = 0.98
 """A learnt command this near to another learnt one with the same decision is the same experience: they are merged."""
+FILE_BYTES, TEXT_CHARS = 200_000_000, 10_000
+"""Of a bank's file, and of each text in it, at most: ours have some megabytes, and some hundred characters."""
 NEAR_MISS_S = 1.5
 """A smaller time to collision is a near miss, in the usual sense of traffic conflict studies."""
 
@@ -164,8 +168,10 @@ class Memory:
         self._lock = threading.Lock()
         self._examples: list[Example] = []
         self._vectors: Vector = np.empty((0, DIMENSION), np.float32)
+        _refuse_odd(path)
         try:
             self._db = sqlite3.connect(path or ":memory:", check_same_thread=False)
+            _refuse_foreign(self._db)
             self._db.execute("PRAGMA journal_mode=WAL")
             with self._db:
                 self._db.execute("BEGIN IMMEDIATE")  # two processes may open one bank at once
@@ -173,9 +179,9 @@ class Memory:
             if shipped is not None:
                 self._plant(shipped)
             self._load()
-        except (sqlite3.Error, ValueError) as error:
+        except (sqlite3.Error, ValueError, TypeError) as error:
             why = str(error).splitlines()[0]
-            raise ConfigError(f"memory_path {path!r} cannot be used: {why}; give another path or remove it") from None
+            raise ConfigError(f"the memory bank {path} cannot be used: {why}; {_fix(error)}") from None
 
     def close(self) -> None:
         with self._lock:
@@ -321,11 +327,59 @@ class Memory:
             " FROM experience WHERE space = ? ORDER BY id",
             (self._embedder.name,),
         ).fetchall()
-        self._examples = [
-            Example(c, s, _slots(j, o), o, took, INF if ttc is None else ttc, good, bad, trouble, id=i)
-            for c, s, j, o, took, ttc, good, bad, trouble, i, _ in rows
-        ]
-        self._vectors = np.frombuffer(b"".join(r[-1] for r in rows), np.float32).reshape(-1, DIMENSION)
+        self._examples = [_example(row) for row in rows]
+        vectors = np.frombuffer(b"".join(r[-1] for r in rows), np.float32).reshape(len(rows), DIMENSION)
+        if not np.isfinite(vectors).all():
+            raise ValueError("a vector that is not finite")
+        self._vectors = vectors
+
+
+def _refuse_odd(path: str) -> None:
+    """Raises `ConfigError` for what is no file, which SQLite would wait for, and for one too large to be a bank."""
+    try:
+        there = Path(path).stat() if path else None
+    except FileNotFoundError:  # it will be made
+        return
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"the memory bank {path} cannot be used: {error}; give another path") from None
+    if there is not None and not stat.S_ISREG(there.st_mode):
+        raise ConfigError(f"the memory bank {path} is no file: give another path")
+    if there is not None and there.st_size > FILE_BYTES:
+        raise ConfigError(f"the memory bank {path} is larger than {FILE_BYTES:,} bytes: give another path")
+
+
+def _refuse_foreign(db: sqlite3.Connection) -> None:
+    """Raises ValueError for the database of another program, into which nothing is written."""
+    tables = {name for (name,) in db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    columns = {column[1] for column in db.execute("PRAGMA table_info(experience)")}
+    if tables - {"experience", "sqlite_sequence"} or (columns and not {"space", "command", "vector"} <= columns):
+        raise ValueError("it is another program's database")
+
+
+def _fix(error: Exception) -> str:
+    """What a user can do about it."""
+    why = str(error)
+    if "locked" in why:
+        return "another process holds it: end that, or try again later"
+    if "readonly" in why or "unable to open" in why:
+        return "make it and its folder writable, or give another path"
+    if "full" in why:
+        return "make room on its disk, or give another path"
+    return "give another path, or move it away"
+
+
+def _example(row: tuple[Any, ...]) -> Example:
+    """Raises ValueError for values that a bank does not have: SQLite keeps any type in any column."""
+    command, scene, slots, outcome, took, ttc, good, bad, trouble, identity, vector = row
+    texts = (command, scene, slots, outcome, trouble)
+    if not all(isinstance(text, str) and len(text) <= TEXT_CHARS for text in texts):
+        raise ValueError(f"example {identity} has a text that is none, or too long")
+    times = (took, INF if ttc is None else ttc)
+    if not all(isinstance(time, (int, float)) and time >= 0.0 for time in (*times, good, bad)):
+        raise ValueError(f"example {identity} has a number that is none")
+    if not isinstance(vector, bytes) or len(vector) != 4 * DIMENSION:
+        raise ValueError(f"example {identity} has a vector of another length")
+    return Example(command, scene, _slots(slots, outcome), outcome, *times, good, bad, trouble, id=identity)
 
 
 def _slots(stored: str, outcome: str) -> Slots:

@@ -5,17 +5,23 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from deploy.cli.app import app
-from deploy.lab.interpret import DEFAULT_SCENE, LineError, scene_of
+from deploy.lab.interpret import DEFAULT_SCENE, SCENE_KEYS, LineError, interpret_lines, scene_of
 from deploy.lab.interpret_score import labelled_set
 from schemas.wire.messages import Directive
+from slow_node.interpreter import Interpreter
 from slow_node.llm.embedding import load_embedder
 from slow_node.planning.directive import Refusal, directive_of
 from slow_node.planning.replies import sentence
@@ -105,7 +111,47 @@ def test_a_missing_input_is_a_usage_error_with_its_name() -> None:
     assert "commands.jsonl" in result.stderr
 
 
-@pytest.mark.parametrize("bad", [{"lanes": 2, "ego_lane": 5}, {"speed": 3}, {"vehicles": [{}]}, 3])
+def test_a_line_of_any_length_costs_its_own_answer_alone() -> None:
+    wrote: list[dict[str, Any]] = []
+    interpreter = cast(Interpreter, SimpleNamespace(close=closed, model_name="m"))
+    lines = [
+        None,
+        b"[" * 50_000,
+        b"\xff",
+        b'{"id": 4, "text": ""}',
+        b'{"id": 5, "scene": {"lanes": 1e999}, "text": "x"}',
+    ]
+    done, errors = interpret_lines(lines, scene_of(DEFAULT_SCENE), interpreter, wrote.append)
+    assert (done, errors) == (5, 5)
+    assert [row["id"] for row in wrote] == ["line-1", "line-2", "line-3", 4, 5]
+    assert "longer than" in wrote[0]["error"]
+
+
+async def closed() -> None:
+    pass
+
+
+NUMBERS = st.one_of(st.integers(), st.floats(), st.just(10**400), st.none(), st.text(max_size=3), st.lists(st.none()))
+
+
+CARS = st.dictionaries(st.sampled_from(["lane", "gap_m", "speed_mps"]), NUMBERS)
+
+
+@given(st.dictionaries(st.sampled_from(sorted(SCENE_KEYS)), NUMBERS), st.lists(CARS))
+def test_any_scene_is_one_or_says_why_not(value: dict[str, Any], vehicles: list[dict[str, Any]]) -> None:
+    with suppress(LineError):
+        scene_of({**value, "vehicles": vehicles})
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"lanes": 2, "ego_lane": 5}, {"speed": 3}, {"vehicles": [{}]}, 3, {"lanes": 10**9}, {"lanes": 0},
+        {"speed_mps": float("nan")}, {"speed_mps": 1e300}, {"limit_mps": 10**400}, {"ego_lane": float("inf")},
+        {"vehicles": [{"gap_m": 10.0, "speed_mps": 20.0}] * 201},
+        {"vehicles": [{"lane": 7, "gap_m": 1.0, "speed_mps": 1.0}]},
+    ],
+)  # fmt: skip
 def test_a_scene_that_makes_no_sense_says_why(bad: object) -> None:
     with pytest.raises(LineError, match="scene"):
         scene_of(bad)

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from deploy.cli.app import app
-from deploy.record.thoughts import Kept, kept_in, worded
+from deploy.record.thoughts import LINE_BYTES, Kept, kept_in, worded
 from schemas.runtime.process import CONFIG, FAILED, OK
 from schemas.wire.messages import Recalled, Thought, Try, Turn
 from slow_node.config import THOUGHTS
@@ -110,6 +110,19 @@ def test_a_line_that_was_cut_off_by_a_kill_is_told_and_costs_no_other(
     file.write_bytes(file.read_bytes()[:-200])
     assert [one.thought.command for one in kept_in(file)] == ["first"]
     assert "1 lines" in capsys.readouterr().err
+
+
+def test_a_line_that_is_too_long_deep_or_no_text_costs_no_other_and_colours_no_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = kept(tmp_path / "run", "\x1b[31mfirst\u202e", "second") / THOUGHTS
+    odd = b'{"time": "' + b"x" * LINE_BYTES + b'"}\n' + b"[" * 100_000 + b"\n" + b"\xff\xfe\x00\n" + b"3\n"
+    file.write_bytes(odd + file.read_bytes())
+    found = kept_in(file)
+    assert [one.thought.command for one in found] == ["\x1b[31mfirst\u202e", "second"]
+    assert "4 lines" in capsys.readouterr().err
+    assert all(line.isprintable() for one in found for line in worded(one, full=True))
+    assert [one.thought.command for one in kept_in(file, 1)] == ["second"]
 
 
 @pytest.mark.parametrize("content", [None, b"no thought\n", b"\xff\xfe\n"])

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import os
 import sqlite3
 from pathlib import Path
 
 import pytest
 
+from schemas.runtime.errors import ConfigError
 from slow_node.llm.embedding import HashedEmbedder, load_embedder
-from slow_node.memory.bank import Memory
+from slow_node.memory.bank import FILE_BYTES, Memory
 from slow_node.memory.examples import read_shipped
 from slow_node.planning.prompt import build_prompt
 from slow_node.understanding.slots import Slots
@@ -162,3 +164,54 @@ def test_a_bank_of_an_older_release_keeps_its_examples(keeps_ttc: bool, tmp_path
         memory.close()
         ttc = 1.2 if keeps_ttc else math.inf
         assert kept == [("seed", 0, 0, "", ttc), ("expired", 0, 1, "expired", ttc), ("fulfilled", 1, 0, "", ttc)]
+
+
+def bad_banks(folder: Path) -> dict[str, Path]:
+    """Files that are no bank of ours, or no longer."""
+    there = {name: folder / f"{name}.sqlite" for name in ("foreign", "torn", "text", "vector", "nan", "words", "pipe")}
+    for name in ("torn", "vector", "nan", "words"):
+        Memory(HashedEmbedder(), str(there[name]), None).close()
+    with sqlite3.connect(there["foreign"]) as db:
+        db.execute("CREATE TABLE bookmarks (url TEXT)")
+    there["torn"].write_bytes(there["torn"].read_bytes()[:5000])
+    there["text"].write_text("no database at all " * 100)
+    row = [HashedEmbedder.name, "c", "s", '{"outcome":"unclear"}', "fulfilled", 0.0, None, 1, 0, "", bytes(4 * 384)]
+    for name, place, value in (("vector", -1, b"xx"), ("nan", -1, b"\xff" * 4 * 384), ("words", 5, "soon")):
+        changed = [*row]
+        changed[place] = value
+        with sqlite3.connect(there[name]) as db:
+            names = "space, command, scene, slots, outcome, took_s, min_ttc_s, fulfilled, failed, trouble, vector"
+            db.execute(f"INSERT INTO experience ({names}) VALUES ({', '.join('?' * 11)})", changed)
+    os.mkfifo(there["pipe"])
+    return there
+
+
+@pytest.mark.parametrize("kind", ["foreign", "torn", "text", "vector", "nan", "words", "pipe"])
+def test_what_is_no_bank_is_refused_in_one_line_and_left_as_it_is(kind: str, tmp_path: Path) -> None:
+    path = bad_banks(tmp_path)[kind]
+    before = b"" if kind == "pipe" else path.read_bytes()
+    with pytest.raises(ConfigError, match="give another path") as refused:
+        Memory(HashedEmbedder(), str(path), None)
+    assert str(path) in str(refused.value)
+    assert kind == "pipe" or path.read_bytes() == before
+
+
+def test_a_bank_that_another_process_holds_is_not_to_be_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "bank.sqlite"
+    Memory(HashedEmbedder(), str(path), None).close()
+    holder, connect = sqlite3.connect(path), sqlite3.connect
+    holder.execute("BEGIN EXCLUSIVE")
+    monkeypatch.setattr(sqlite3, "connect", lambda path, **more: connect(path, timeout=0.0, **more))
+    with pytest.raises(ConfigError, match="another process holds it"):
+        Memory(HashedEmbedder(), str(path), None)
+    holder.close()
+
+
+def test_a_bank_larger_than_any_of_ours_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "bank.sqlite"
+    with path.open("wb") as file:
+        file.truncate(FILE_BYTES + 1)
+    with pytest.raises(ConfigError, match="larger than"):
+        Memory(HashedEmbedder(), str(path), None)
