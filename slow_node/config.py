@@ -10,6 +10,8 @@ THOUGHTS = "thoughts.jsonl"
 """In a run's folder: how each command was understood."""
 WISHES = "wishes.json"
 """In a run's folder: the wishes that are open."""
+TOKEN = "FASTSLOW_MODEL_TOKEN"
+"""The environment variable with what the embedded model's server must be shown."""
 BUDGET_S, BUDGET_MAX_S = 8.0, 300.0
 
 
@@ -21,7 +23,7 @@ class SlowConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     model: str = "gpt-4o-mini"
     api_key_env: str = "OPENAI_API_KEY"
     embedded: bool = True
-    """Short prompt and short answers, for a small model on one core; no key is sent."""
+    """Short prompt and short answers, for a small model on one core; its server is shown `TOKEN`, never a key."""
     adapter: bool = True
     """The embedded model has its adapter, and is asked as that has learnt it; False: with recalled examples."""
     memory_path: str = ""

@@ -15,7 +15,7 @@ from schemas.runtime.process import ConfigError, Heartbeat, log
 from schemas.wire import topics
 from schemas.wire.codec import Fault, decode_command
 from schemas.wire.messages import Directive, Event, EventKind, Reply
-from slow_node.config import BUDGET_S, SlowConfig
+from slow_node.config import BUDGET_S, TOKEN, SlowConfig
 from slow_node.deliberation import Deliberation
 from slow_node.effects import Abandon, Effect, Interpret, Remember
 from slow_node.interpreter import Interpretation, Interpreter, Style
@@ -241,7 +241,7 @@ def build_interpreter(config: SlowConfig) -> tuple[Interpreter, Memory, ChatMode
     """What interprets commands, without the bus: the caller closes the memory and the model."""
     embedder = load_embedder()
     memory = Memory(embedder, config.memory_path, EXAMPLES if config.shipped_examples else None)
-    key = "" if config.embedded else os.environ.get(config.api_key_env, "")
+    key = os.environ.get(TOKEN if config.embedded else config.api_key_env, "")
     if not key and not config.embedded and not is_loopback(config.base_url):
         log(NAME, "key", f"{config.api_key_env} is not set; calling {config.base_url} without a key")
     most = config.max_tokens or (MAX_TOKENS_SHORT if config.embedded else MAX_TOKENS)

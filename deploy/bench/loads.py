@@ -18,6 +18,7 @@ from deploy.bench.deployed_system import START_S
 from deploy.bench.progress import MeasurementError
 from deploy.run.launch import GRACE_S, children, environment
 from deploy.run.processes import Model
+from slow_node.config import TOKEN
 
 Load = Literal["none", "cpu", "llm", "watched"]
 LOADS: tuple[Load, ...] = ("none", "cpu", "llm", "watched")
@@ -132,7 +133,8 @@ def _ask(model: Model, stop: threading.Event, asked: _Asked) -> None:
     }
     # A connection each: llama.cpp's server closes one that has streamed, and the next request would find it closed.
     alone = httpx.Limits(max_keepalive_connections=0)
-    with httpx.Client(base_url=model.base_url, timeout=120.0, trust_env=False, limits=alone) as client:
+    shown = {"authorization": f"Bearer {os.environ[TOKEN]}"} if TOKEN in os.environ else {}
+    with httpx.Client(base_url=model.base_url, headers=shown, timeout=120.0, trust_env=False, limits=alone) as client:
         while not stop.is_set():
             try:
                 with client.stream("POST", "/chat/completions", json=body) as reply:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import secrets
 import shutil
 import signal
 import subprocess
@@ -27,6 +28,7 @@ from typing import IO, Protocol
 
 from schemas.runtime.bus import ONE_POOL
 from schemas.runtime.errors import ConfigError
+from slow_node.config import TOKEN
 
 GRACE_S = 3.0
 """From SIGTERM to SIGKILL."""
@@ -35,9 +37,22 @@ NOWHERE = Path(os.devnull)
 _ROOT = Path(__file__).resolve().parents[2]
 
 
-def environment() -> dict[str, str]:
-    """For our own programs: they run the source that this one runs, wherever it was started."""
-    inherited = {k: v for k, v in os.environ.items() if (k, v) != ("ZENOH_RUNTIME", ONE_POOL)}  # set by `open_bus`
+KEY = "OPENAI_API_KEY"
+SECRETS = (KEY, TOKEN, "OTEL_EXPORTER_OTLP_HEADERS", "OTEL_EXPORTER_OTLP_TRACES_HEADERS")
+"""Environment variables that a program of ours gets only if it needs them."""
+
+
+def environment(*needed: str) -> dict[str, str]:
+    """For our own programs: they run the source that this one runs, wherever it was started.
+
+    needed: which of `SECRETS` they get. The embedded model's token is drawn where there is none yet.
+    """
+    if TOKEN in needed:
+        os.environ.setdefault(TOKEN, secrets.token_urlsafe(24))
+    hidden = set(SECRETS) - set(needed)
+    inherited = {k: v for k, v in os.environ.items() if k not in hidden}
+    if inherited.get("ZENOH_RUNTIME") == ONE_POOL:  # set by `open_bus`
+        del inherited["ZENOH_RUNTIME"]
     paths = [str(_ROOT), *inherited.get("PYTHONPATH", "").split(os.pathsep)]
     return {
         # The nodes compute on small arrays: a pool of BLAS threads per node only makes the ticks jitter.

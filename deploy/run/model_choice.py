@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+from deploy.run.launch import KEY as KEY
 from deploy.run.processes import TCP_HOST, Model, ModelOptions, free_port
 from schemas.runtime.process import ConfigError
 from schemas.wire.text import plain
@@ -17,7 +18,7 @@ from slow_node.llm.embedded import own_weights
 from slow_node.llm.endpoint import OPENAI_URL, checked_key, checked_model, endpoint_url, ollama_url
 from slow_node.llm.errors import ModelError
 
-KEY, MODEL = "OPENAI_API_KEY", "OPENAI_MODEL"
+MODEL = "OPENAI_MODEL"
 VARIABLES = (KEY, "OPENAI_BASE_URL", MODEL, "OLLAMA_HOST")
 """What names an endpoint."""
 LIST_S = 5.0

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 
-from deploy.run.launch import Launched, answers, launch, python_module
+from deploy.run.launch import Launched, answers, environment, launch, python_module
 from deploy.run.processes import TCP_HOST
+from slow_node.config import TOKEN
 
 START_S = 30.0
 POLL_S = 0.1
@@ -26,7 +27,9 @@ def embedded_server(
         "polite": polite,
     }
     argv = python_module("slow_node.llm.embedded", config)
-    server = launch("language model", argv, own_session=False)  # it works for who starts it, on their share
+    server = launch(
+        "language model", argv, env=environment(TOKEN), own_session=False
+    )  # it works for who starts it, on their share
     due, ready = time.monotonic() + START_S, False
     try:
         while not ready and time.monotonic() < due and server.exit_code() is None:

@@ -14,13 +14,13 @@ from typing import Any
 import psutil
 from platformdirs import user_data_path
 
-from deploy.run.launch import python_module
+from deploy.run.launch import KEY, SECRETS, python_module
 from deploy.run.links import TCP_HOST as TCP_HOST
 from deploy.run.links import DoorOptions, Links, carried
 from schemas.runtime.bus_settings import Tls
 from schemas.runtime.files import read_text_bounded
 from schemas.runtime.realtime import Mode
-from slow_node.config import BUDGET_S, THOUGHTS, WISHES
+from slow_node.config import BUDGET_S, THOUGHTS, TOKEN, WISHES
 from slow_node.llm.endpoint import where
 
 DEFAULT_PORT = 7447
@@ -50,6 +50,8 @@ class Process:
     finishes: bool = False
     """Its exit with code 0 is the end of the run, not a failure."""
     nice: int = 0
+    secrets: tuple[str, ...] = ()
+    """The environment variables of `launch.SECRETS` that it needs."""
 
 
 NEEDS_WAIT_S = 3.0
@@ -240,7 +242,7 @@ def process_table(options: RunOptions, model: Model, links: Links, folder: Path 
             finishes=True,
             start_s=SLOW_START_S,
         ),
-        Process(name="slow", argv=python_module("slow_node", slow), critical=False),
+        Process(name="slow", argv=python_module("slow_node", slow), critical=False, secrets=_secrets(model)),
     ]
     if model.embedded:
         table.insert(0, _embedded(model))
@@ -261,12 +263,17 @@ def _asks(model: Model) -> dict[str, object]:
     return {
         "base_url": model.base_url,
         "model": model.name,
-        "api_key_env": "" if model.embedded else "OPENAI_API_KEY",
+        "api_key_env": "" if model.embedded else KEY,
         "embedded": model.embedded,
         "adapter": not model.weights,
         "budget_s": model.budget_s,
         "max_tokens": model.max_tokens,
     }
+
+
+def _secrets(model: Model) -> tuple[str, ...]:
+    """Those that the slow node needs: one model's, not the other's, and the collector's."""
+    return (TOKEN if model.embedded else KEY, *(name for name in SECRETS if name.startswith("OTEL_")))
 
 
 def _embedded(model: Model) -> Process:
@@ -282,6 +289,7 @@ def _embedded(model: Model) -> Process:
         heartbeat_s=10.0,
         start_s=SLOW_START_S,
         nice=10,
+        secrets=(TOKEN,),
     )
 
 

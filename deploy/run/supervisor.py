@@ -85,7 +85,6 @@ class Supervisor:
         self._stopped = False
         self._stepped_s = self._started_s = time.monotonic()
         self._closing = threading.Event()
-        self._env = environment()
 
     @property
     def restarts(self) -> dict[str, int]:
@@ -177,7 +176,7 @@ class Supervisor:
             process.name,
             process.argv,
             self._folder / f"{process.name}.jsonl",
-            env=self._env,
+            env=environment(*process.secrets),
             append=True,
             stdout=False,
             nice=process.nice,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import os
 import signal
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ from msgspec import Struct
 from schemas.runtime.process import ConfigError, load_config, log, run_node
 from schemas.runtime.realtime import yield_to_others
 from schemas.wire.text import plain
+from slow_node.config import TOKEN
 from slow_node.llm.embedding import package_file
 
 NAME = "embedded"
@@ -81,6 +83,7 @@ def own_weights(path: Path) -> Path:
 
 def serve(config: EmbeddedConfig) -> None:
     """Load the model and serve until a signal ends the process."""
+    token = os.environ.pop(TOKEN, "")
     path = own_weights(Path(config.weights)) if config.weights else weights_path()
     if config.polite:
         log(NAME, "priority", yield_to_others())
@@ -100,6 +103,11 @@ def serve(config: EmbeddedConfig) -> None:
     params.cpuparams.n_threads = params.cpuparams_batch.n_threads = config.threads
     params.hostnames = ["127.0.0.1"]
     params.port = config.port
+    if token:  # else whoever has started it by hand lets anybody ask it
+        params.api_keys = [token]
+    # No page of another origin may read an answer, and nothing is served but answers.
+    params.cors_origins, params.cors_origins_explicit, params.cors_credentials = "", True, False
+    params.ui = params.endpoint_slots = params.endpoint_props = params.endpoint_metrics = False
     params.cache_ram_mib = 64  # its default of 8 GiB would grow with every prompt
     try:
         server = xllamacpp.Server(params)

@@ -10,8 +10,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from deploy.run.launch import answers, children, environment, launch, python_module
+from deploy.run.launch import KEY, answers, children, environment, launch, python_module
 from deploy.run.processes import free_port
+from slow_node.config import TOKEN
 
 ROOT = Path(__file__).parents[3]
 STUBBORN = (
@@ -88,3 +89,13 @@ def test_no_process_outlives_its_block(tmp_path: Path) -> None:
     with children() as start:
         stubborn = start("child", (sys.executable, "-c", "import time; time.sleep(60)"), tmp_path / "log")
     assert stubborn.trouble() == "its child was killed by signal 15"
+
+
+def test_a_program_gets_only_the_secrets_that_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(KEY, "mine")
+    monkeypatch.setenv("OTEL_EXPORTER_OTLP_HEADERS", "authorization=mine")
+    monkeypatch.delenv(TOKEN, raising=False)
+    assert "mine" not in repr(environment())
+    assert environment(KEY)[KEY] == "mine"
+    assert TOKEN not in environment(KEY)
+    assert environment(TOKEN)[TOKEN] == environment(TOKEN)[TOKEN] != ""

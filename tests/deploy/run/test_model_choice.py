@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from deploy.run.doctor import doctor
-from deploy.run.model_choice import choose_model
+from deploy.run.model_choice import KEY, choose_model
 from deploy.run.processes import Model, ModelOptions, RunOptions, links_of, process_table
 from schemas.runtime.process import CONFIG, FAILED, OK, ConfigError
-from slow_node.config import SlowConfig
+from slow_node.config import TOKEN, SlowConfig
 from slow_node.llm.endpoint import OPENAI_URL, ollama_url
 from tests.faulty_server import FaultyServer, answer
 
@@ -187,3 +187,12 @@ def test_a_run_ends_at_once_where_the_address_is_none(
     monkeypatch.setenv("FASTSLOW_DATA", str(tmp_path / "data"))
     assert run_system(RunOptions(port=0, model=ModelOptions(base_url="http://127.0.0.1:port"))) == CONFIG
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_only_the_slow_node_gets_the_key_and_only_the_model_and_it_the_token(tmp_path: Path) -> None:
+    options = RunOptions(cockpit_port=0)
+    cloud, embedded = (Model(base_url="http://127.0.0.1:1/v1", name="m", embedded=e, port=1) for e in (False, True))
+    wanted = {"slow": {KEY}}, {"slow": {TOKEN}, "llm": {TOKEN}}
+    for model, needs in zip((cloud, embedded), wanted, strict=True):
+        rows = process_table(options, model, links_of(options, tmp_path), tmp_path)
+        assert {row.name: {*row.secrets} & {KEY, TOKEN} for row in rows if {*row.secrets} & {KEY, TOKEN}} == needs

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 import urllib.request
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ import torch
 
 from deploy.run.model_server import embedded_server
 from deploy.run.processes import free_port
+from slow_node.config import TOKEN
 from slow_node.llm.embedded import weights_path
 from slow_node.planning.prompt import adapted_prompt
 from slow_node.training.fine_tune import END, Llama, answer_of, batches, loss_of, rendered, tokenizer_of
@@ -47,7 +49,8 @@ def server() -> Iterator[str]:
 
 
 def post(url: str, body: dict[str, Any]) -> Any:
-    request = urllib.request.Request(url, json.dumps(body).encode(), {"content-type": "application/json"})
+    headers = {"content-type": "application/json", "authorization": f"Bearer {os.environ[TOKEN]}"}
+    request = urllib.request.Request(url, json.dumps(body).encode(), headers)
     with urllib.request.urlopen(request, timeout=30) as answer:
         return json.load(answer)
 
