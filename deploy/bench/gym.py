@@ -101,13 +101,14 @@ class _Account:
     per_cpu_s: list[float] = field(default_factory=list)
 
     def take_turn(self, many: Many, seconds: float) -> None:
-        """Decide for so many seconds of the wall's clock."""
-        cpu, began, steps = _cpu_s(), time.perf_counter(), 0
-        while (wall := time.perf_counter() - began) < seconds or not steps:
+        """Decide for so many seconds of all cores' time."""
+        before, began, steps, used = _cpu_s(), time.perf_counter(), 0, 0.0
+        while used < seconds:
             many.step()
             steps += 1
-        self.per_s.append(steps * many.size / wall)
-        self.per_cpu_s.append(steps * many.size / max(_cpu_s() - cpu, 1e-9))
+            used = _cpu_s() - before
+        self.per_s.append(steps * many.size / (time.perf_counter() - began))
+        self.per_cpu_s.append(steps * many.size / used)
 
 
 def _cpu_s() -> float:
@@ -129,7 +130,8 @@ def bench_gym(
     """{"schema", "envs", "decision_hz", "turns", "rows"}; a row per variant: decisions per second of the wall's clock
     and of all cores' time, and how many times as many the first variant makes (median, least and most of the turns).
 
-    seconds: of a variant's turn. Raises ValueError for an unknown variant, or a rate that does not divide 15.
+    seconds: of all cores' time, for a variant's turn. Raises ValueError for an unknown variant, or a rate that does not
+    divide 15.
     """
     chosen = tuple(names or VARIANTS)
     if unknown := sorted(set(chosen) - set(VARIANTS)):

@@ -214,7 +214,7 @@ def gym(
             show_default="all",
         ),
     ] = None,
-    seconds: Annotated[float, typer.Option(min=0.1, help="Of a variant's turn.")] = 2.0,
+    seconds: Annotated[float, typer.Option(min=0.1, help="Of all cores' time, for a variant's turn.")] = 2.0,
     turns: Annotated[int, typer.Option(min=1, help="Of each variant.")] = 5,
     as_json: Json = False,
 ) -> None:

@@ -35,6 +35,9 @@ Range = tuple[float, float]
 class Features(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="Features", tag_field="type"):
     """The policy's input, (15, 19): see `schemas.driving.features`."""
 
+    flat: bool = False
+    """As one row of 285."""
+
 
 class Kinematics(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="Kinematics", tag_field="type"):
     """highway-env's observation of this name, with its options."""
@@ -125,6 +128,11 @@ class EnvConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         if (self.noise_m or self.noise_mps or self.dropout) and not isinstance(self.observation, Features):
             raise ValueError("noise_m, noise_mps and dropout are of the Features: choose that observation")
         _refuse_unknown("reward", self.reward, Weights._fields)
+
+    @property
+    def flat(self) -> bool:
+        """Whether the Features come as one row."""
+        return isinstance(self.observation, Features) and self.observation.flat
 
     @property
     def ticks(self) -> int:

@@ -18,7 +18,7 @@ from deploy.environments.config import Directive, EnvConfig, check_lane, convert
 from deploy.environments.world import Bools, Ints, SeededWorld
 from fast_node.training.rollout import Scenes
 from schemas.driving.episode import REDIRECT_PER_S, Ending, ending
-from schemas.driving.features import BOUND, FEATURES, N_ROWS
+from schemas.driving.features import BOUND, FEATURES, N_ROWS, Array
 from schemas.driving.intent import ANY_LANE
 from schemas.driving.road import HZ, NOBODY, VX, VY, X, lead_id
 from schemas.runtime.compiled import compiled
@@ -37,9 +37,9 @@ def action_space() -> spaces.Discrete[np.int64]:
     return spaces.Discrete(POLICY_ACTIONS)
 
 
-def features_space() -> spaces.Box:
-    """Of the policy's input, (15, 19) float32."""
-    return spaces.Box(-BOUND, BOUND, (N_ROWS, len(FEATURES)), np.float32)
+def features_space(flat: bool) -> spaces.Box:
+    """Of the policy's input, (15, 19) float32, or (285,)."""
+    return spaces.Box(-BOUND, BOUND, (N_ROWS * len(FEATURES),) if flat else (N_ROWS, len(FEATURES)), np.float32)
 
 
 _ACTIONS = action_space()
@@ -152,6 +152,11 @@ class Episodes(Scenes):
         over = ending(self.world.crashed, self.world.rows[:, 0], self.task.goal)
         self.happened = np.where(done.truncated & (over == Ending.NONE), int(Ending.TIME), over)
         return done
+
+    def seen(self) -> Array:
+        """(S, 15, 19) the policy's input, or (S, 285) as the configuration has it."""
+        x = self.observe()
+        return x.reshape(len(x), -1) if self._config.flat else x
 
     def usable(self) -> Bools:
         """(S, 5) what may be chosen: what mask and directive leave open; without a mask, what does anything at all.

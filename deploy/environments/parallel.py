@@ -72,8 +72,8 @@ class DrivingParallelEnv(ParallelEnv):
 
     @cache  # noqa: B019 - the API asks for the same object every time
     def observation_space(self, agent: str) -> spaces.Box:
-        """Of every car: the policy's input, (15, 19)."""
-        return features_space()
+        """Of every car: the policy's input."""
+        return features_space(self._config.flat)
 
     @cache  # noqa: B019
     def action_space(self, agent: str) -> spaces.Discrete[np.int64]:
@@ -149,6 +149,6 @@ class DrivingParallelEnv(ParallelEnv):
         return said
 
     def _seen(self) -> tuple[dict[str, Array], Infos]:
-        x, told = self._episodes.observe(), self._episodes.told()
+        x, told = self._episodes.seen(), self._episodes.told()
         where = {car: self.possible_agents.index(car) for car in self.agents}
         return {car: x[k] for car, k in where.items()}, {car: one_of(told, k) for car, k in where.items()}

@@ -58,7 +58,7 @@ class DrivingEnv(gymnasium.Env[Observation, int]):
         world: SeededWorld = self._road or BatchedWorld(self.scenario, 1, 0)
         self.metadata = {**self.metadata, "render_fps": self._config.decision_hz}
         self.action_space: Any = action_space()
-        self.observation_space = features_space()
+        self.observation_space = features_space(self._config.flat)
         self._observed_by: Any = None
         if self._road is not None and not isinstance(seen, Features):
             self.observation_space = _bounded(self._road.env.observation_space, seen)
@@ -118,7 +118,7 @@ class DrivingEnv(gymnasium.Env[Observation, int]):
     def _observed(self) -> Observation:
         if self._observed_by is not None:
             return np.asarray(self._observed_by.observation_type.observe())
-        return np.asarray(self._episodes.observe()[0])
+        return np.asarray(self._episodes.seen()[0])
 
     def _info(self) -> dict[str, Any]:
         return one_of(self._episodes.told(), 0)

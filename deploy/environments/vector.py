@@ -53,7 +53,7 @@ class DrivingVectorEnv(VectorEnv[Array, Ints, NDArray[Any]]):
         self.mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": [], "autoreset_mode": self.mode}
         self.num_envs, self.scenario = num_envs, self._config.road(scenario)
-        self.single_observation_space, self.single_action_space = features_space(), action_space()
+        self.single_observation_space, self.single_action_space = features_space(self._config.flat), action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._episodes = Episodes(BatchedWorld(self.scenario, num_envs, 0), self.scenario, self._config)
@@ -71,7 +71,7 @@ class DrivingVectorEnv(VectorEnv[Array, Ints, NDArray[Any]]):
         directive = directive_of(asked, self.scenario)
         seeds = (
             [seed + k for k in range(self.num_envs)]
-            if isinstance(seed, int)
+            if isinstance(seed, int | np.integer)
             else list(seed)
             if seed is not None
             else [None] * self.num_envs
@@ -82,7 +82,7 @@ class DrivingVectorEnv(VectorEnv[Array, Ints, NDArray[Any]]):
             if seeds[scene] is not None:
                 self._generators[scene] = seeding.np_random(seeds[scene])[0]
         self._begin(which, seeds, directive)
-        return self._episodes.observe(), self._infos(self._episodes.told(), which)
+        return self._episodes.seen(), self._infos(self._episodes.told(), which)
 
     def step(self, actions: Ints) -> Steps:
         """One decision in every scene; where an episode has ended, see `metadata["autoreset_mode"]`.
@@ -102,13 +102,13 @@ class DrivingVectorEnv(VectorEnv[Array, Ints, NDArray[Any]]):
             on = ~waiting
             done = Step(np.where(on, done.earned, 0.0).astype(np.float32), done.terminated & on, done.truncated & on)
         self._ended = done.ended
-        seen, told = self._episodes.observe(), self._episodes.told()
+        seen, told = self._episodes.seen(), self._episodes.told()
         final: dict[str, Any] = {}
         if self.mode == AutoresetMode.SAME_STEP and self._ended.any():
             ended = self._ended
             final = self._final(seen, told, ended)
             self._begin(ended, [None] * self.num_envs, None)
-            seen, told = self._episodes.observe(), self._episodes.told()
+            seen, told = self._episodes.seen(), self._episodes.told()
         infos = {**final, **self._infos(told, np.ones(self.num_envs, np.bool_))}
         return seen, done.earned.astype(np.float64), done.terminated, done.truncated, infos
 

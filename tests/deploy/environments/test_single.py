@@ -19,6 +19,7 @@ from gymnasium.utils.env_checker import check_env
 
 import fastslow
 from deploy.environments.single import DrivingEnv
+from deploy.environments.vector import DrivingVectorEnv
 from deploy.lab.training import scenes_of
 from schemas.driving.features import CAP, LEFT_OPEN
 from schemas.wire.messages import MetaAction
@@ -65,6 +66,13 @@ def test_every_environment_passes_gymnasiums_own_check_without_a_warning(name: s
         check_env(gymnasium.make(name).unwrapped, skip_render_check=True)
 
 
+def test_stable_baselines3s_own_check_passes_without_a_warning() -> None:
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        checker.check_env(DrivingEnv("merge", duration_s=2.0, observation={"type": "Features", "flat": True}))
+
+
 @pytest.mark.parametrize("config", [{"observation": KINEMATICS}, {"observation": GRID}, {"mask": None}])
 def test_every_kind_of_observation_passes_it_and_lies_in_its_space(config: dict[str, Any]) -> None:
     env = gymnasium.make(HIGHWAY, config=config).unwrapped
@@ -74,6 +82,14 @@ def test_every_kind_of_observation_passes_it_and_lies_in_its_space(config: dict[
     for thing in driven(env, 3, [2, 3, 4, 0, 1] * 6):
         if isinstance(thing, np.ndarray):
             assert thing in env.observation_space
+
+
+def test_flat_features_are_the_same_in_one_row() -> None:
+    flat = {"type": "Features", "flat": True}
+    seen, row = (DrivingEnv("merge", **more).reset(seed=1)[0] for more in ({}, {"observation": flat}))  # type: ignore[arg-type]
+    np.testing.assert_array_equal(seen.reshape(-1), row)
+    rows, _ = DrivingVectorEnv(2, "merge", observation=flat).reset(seed=1)
+    np.testing.assert_array_equal(rows[0], row)
 
 
 def test_the_observations_are_highway_envs_own() -> None:
