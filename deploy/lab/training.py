@@ -18,7 +18,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from deploy.lab.episodes import directed, overtake_on, task_of
 from fast_node.mask import PRESETS
 from fast_node.policies.mlp import LEARNERS
-from fast_node.training.rollout import Mixed, Scenes
+from fast_node.training.mixed import Mixed
+from fast_node.training.rollout import Scenes
 from sim_node.engine.batched import Batched
 from sim_node.observe import senses
 from sim_node.scenarios import SCENARIOS, Scenario

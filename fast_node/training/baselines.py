@@ -32,7 +32,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from fast_node.mask import VERSION as MASK_VERSION
 from fast_node.policies.checkpoint import write_checkpoint
 from fast_node.policies.mlp import WISH, MlpPolicy, load_mlp, masked, told
-from fast_node.training.rollout import Mixed
+from fast_node.training.mixed import Mixed
 from fast_node.training.train import DECISION_S, Logits, conditions, random_inputs
 from schemas.driving.features import BOUND, FEATURES, LAYOUT_HASH, N_ROWS, Array
 from schemas.runtime.process import revision

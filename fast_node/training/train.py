@@ -49,8 +49,8 @@ from fast_node.training.learner import (
     update,
 )
 from fast_node.training.log import logged
+from fast_node.training.mixed import Mixed
 from fast_node.training.network import ActorCritic
-from fast_node.training.rollout import Mixed
 from schemas.driving import reward as rewards
 from schemas.driving.features import FEATURES, LAYOUT_HASH, N_ROWS, Array
 from schemas.driving.road import DECISION_TICKS, HZ

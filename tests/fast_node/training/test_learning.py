@@ -21,8 +21,8 @@ from fast_node.training.learner import (
     masked_distribution,
     update,
 )
+from fast_node.training.mixed import Mixed
 from fast_node.training.network import ActorCritic
-from fast_node.training.rollout import Mixed
 from fast_node.training.train import export, train
 from schemas.driving.features import FEATURES, N_ROWS, features
 from schemas.driving.road import DECISION_TICKS, HZ
