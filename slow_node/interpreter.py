@@ -270,10 +270,18 @@ def _numbers(command: str) -> dict[str, float]:
     return {slots[q.kind]: q.value for q in quantities(command) if q.kind in slots}
 
 
+def worded(name: str, value: object) -> str:
+    """A slot for people: "speed faster", "overtake", "no overtake", "target speed mps 22.2"."""
+    if isinstance(value, bool):
+        return name if value else f"no {name}"
+    return f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
+
+
 def _reasoned(parsed: _Read) -> Slots:
     """The intent parser's slots with its reasons: what it heard and how sure it is."""
     slots = parsed.slots
-    heard = [f"{name} {value}" for name, value in slots.model_dump(exclude_defaults=True, exclude={"outcome"}).items()]
+    named = slots.model_dump(exclude_defaults=True, exclude={"outcome"})
+    heard = [worded(name.replace("_", " "), value) for name, value in named.items()]
     said = ", ".join(heard) if heard else slots.outcome.replace("_", " ")
     return slots.model_copy(update={"reasoning": f"heard: {said} ({parsed.confidence:.0%} sure)"})
 

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from slow_node.interpreter import Interpretation, Interpreter, Style
+from slow_node.interpreter import Interpretation, Interpreter, Style, worded
 from slow_node.llm.model import ChatModel
 from slow_node.memory.bank import Memory
 from slow_node.planning.prompt import adapted_prompt, build_prompt
@@ -82,3 +82,16 @@ def test_a_model_that_obeys_an_injection_gets_nowhere_beyond_the_slots(memory: M
 def test_examples_of_any_length_leave_room_for_the_command(memory: Memory) -> None:
     memory.learn("y" * 4000, "z" * 1000, SLOW, "w" * 200)
     assert sum(len(turn["content"]) for turn in build_prompt("go", "", memory.nearest("y", 1), {}, short=True)) < 1500
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("speed", "faster", "speed faster"),
+        ("overtake", True, "overtake"),
+        ("overtake", False, "no overtake"),
+        ("target speed mps", 200 / 9, "target speed mps 22.2"),
+    ],
+)
+def test_what_was_heard_is_told_as_people_say_it(name: str, value: object, said: str) -> None:
+    assert worded(name, value) == said
