@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,8 +14,13 @@ from deploy.cli.bounded import Commands
 from deploy.cli.options import (
     DEFAULT_PORT,
     EXITS,
+    Authority,
     BaseUrl,
     BudgetS,
+    CarName,
+    Cert,
+    CertKey,
+    Connect,
     Density,
     Dropout,
     Json,
@@ -26,7 +34,48 @@ from deploy.cli.options import (
     names,
 )
 
+if TYPE_CHECKING:
+    from deploy.run.passenger import Reach
+    from schemas.runtime.bus_settings import Tls
+
 commands = Commands()
+
+
+@contextmanager
+def _as_one_line() -> Iterator[None]:
+    """What is wrong with how a car is reached ends the command with one line and 78."""
+    from schemas.runtime.errors import ConfigError
+
+    try:
+        yield
+    except ConfigError as error:
+        print(f"fastslow: {error}", file=sys.stderr)
+        raise typer.Exit(78) from None
+
+
+def _certificates(
+    listen: str | None, cert: str | None, key: str | None, ca: str | None, name: str | None
+) -> Tls | None:
+    """Those of a run, once they and where it listens are found to be good."""
+    from deploy.run.links import car_name, certificates, endpoint
+    from schemas.runtime.errors import ConfigError
+
+    with _as_one_line():
+        car_name(name or "")
+        tls = certificates(cert, key, ca)
+        if listen:
+            endpoint(listen, tls, "--listen")
+        elif tls is not None:
+            raise ConfigError("--cert needs --listen tls/0.0.0.0:7447")
+    return tls
+
+
+def _car(port: int, connect: str | None, cert: str | None, key: str | None, ca: str | None, name: str | None) -> Reach:
+    """The car that is meant."""
+    from deploy.run.passenger import reach
+
+    with _as_one_line():
+        return reach(port, connect, cert, key, ca, name)
 
 
 @commands.command(
@@ -59,6 +108,18 @@ def run(
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="TCP port on 127.0.0.1 to listen on; 0: any.")
     ] = DEFAULT_PORT,
+    listen: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ENDPOINT",
+            help="Let users in here, from other computers too: tls/0.0.0.0:7447, with --cert.",
+            show_default="--port",
+        ),
+    ] = None,
+    cert: Cert = None,
+    key: CertKey = None,
+    ca: Authority = None,
+    name: CarName = None,
     as_json: Json = False,
     without: Annotated[
         list[str] | None,
@@ -117,6 +178,7 @@ def run(
         raise typer.BadParameter(f"{sim}: choose from {', '.join(SIMS)}", param_hint="'--sim'")
     if realtime not in MODES:
         raise typer.BadParameter(f"{realtime}: choose from {', '.join(MODES)}", param_hint="'--realtime'")
+    tls = _certificates(listen, cert, key, ca, name)
     from deploy.run.system import run_system
 
     raise typer.Exit(
@@ -127,6 +189,9 @@ def run(
                 seed=seed,
                 duration_s=duration,
                 port=port,
+                listen=listen or "",
+                tls=tls,
+                name=name or "",
                 say=say,
                 say_at_s=say_at,
                 as_json=as_json,
@@ -159,13 +224,20 @@ def say(
         float | None, typer.Option(min=0.1, help="Seconds to wait.", show_default="15; with --wait 90")
     ] = None,
     port: Port = DEFAULT_PORT,
+    connect: Connect = None,
+    cert: Cert = None,
+    key: CertKey = None,
+    ca: Authority = None,
+    name: CarName = None,
     as_json: Json = False,
 ) -> None:
     """Say something to the car that is running, and hear its answer."""
     from deploy.run import passenger as talk
 
     timeout_s = timeout if timeout is not None else 90.0 if wait else 15.0
-    raise typer.Exit(talk.say(text, port=port, wait=wait, timeout_s=timeout_s, as_json=as_json))
+    raise typer.Exit(
+        talk.say(text, car=_car(port, connect, cert, key, ca, name), wait=wait, timeout_s=timeout_s, as_json=as_json)
+    )
 
 
 @commands.command(
@@ -174,13 +246,18 @@ def say(
 )
 def status(
     port: Port = DEFAULT_PORT,
+    connect: Connect = None,
+    cert: Cert = None,
+    key: CertKey = None,
+    ca: Authority = None,
+    name: CarName = None,
     as_json: Json = False,
     watch: Annotated[bool, typer.Option("--watch", help="Again each second, until Ctrl-C.")] = False,
 ) -> None:
     """Show the nodes of the running system and their metrics."""
     from deploy.run import passenger as talk
 
-    raise typer.Exit(talk.status(port=port, as_json=as_json, watch=watch))
+    raise typer.Exit(talk.status(car=_car(port, connect, cert, key, ca, name), as_json=as_json, watch=watch))
 
 
 @commands.command(

@@ -14,6 +14,19 @@ EXITS = (
     "78 bad configuration or model, 130/143 signals."
 )
 Port = Annotated[int, typer.Option(min=1, max=65535, help="TCP port on 127.0.0.1 where the system listens.")]
+Connect = Annotated[
+    str | None,
+    typer.Option(metavar="ENDPOINT", help="A car elsewhere: tls/HOST:PORT, with --cert.", show_default="--port"),
+]
+Cert = Annotated[
+    str | None, typer.Option(metavar="FILE.pem", help="Our certificate, whose common name is our role: passenger, ...")
+]
+CertKey = Annotated[str | None, typer.Option("--key", metavar="FILE.key", help="Its key.", show_default="beside it")]
+Authority = Annotated[
+    str | None,
+    typer.Option("--ca", metavar="FILE.pem", help="The authority of both sides.", show_default="ca.pem beside it"),
+]
+CarName = Annotated[str | None, typer.Option("--name", metavar="NAME", help="Of the car, where it has one: car-7.")]
 Density = Annotated[float, typer.Option(min=0.2, max=3.0, help="Of the traffic: times the road's own.")]
 Traffic = Annotated[
     str,

@@ -7,6 +7,7 @@ run; whom one has called oneself is known by its socket. Each end lets in only w
 from __future__ import annotations
 
 import os
+import re
 import secrets
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ import msgspec
 
 from schemas.runtime.bus import BusConfig
 from schemas.runtime.bus_settings import Grant, Tls
+from schemas.runtime.errors import ConfigError
 from schemas.wire.roles import NODES, ROLES, Role, Topics, own
 
 TCP_HOST = "127.0.0.1"
@@ -40,6 +42,52 @@ class DoorOptions:
         """(host, port) of `listen`."""
         host, _, port = self.listen.partition("/")[2].rpartition(":")
         return host.strip("[]"), int(port)
+
+
+_ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9a-fA-F:]+\]|[^/:\[\]]+):(\d{1,5})")
+_NAME = re.compile(r"[A-Za-z0-9_-]{1,40}")
+
+
+def endpoint(text: str, tls: Tls | None, option: str) -> str:
+    """An endpoint as a user wrote it, of this computer or with certificates. Raises `ConfigError`, naming the fix."""
+    found = _ENDPOINT.fullmatch(text)
+    if found is None or not 0 < int(found[3]) < 65536:
+        raise ConfigError(f"{option} {text!r} is no endpoint: it must look like tls/0.0.0.0:7447 or tcp/127.0.0.1:7447")
+    if found[1] == "tls" and tls is None:
+        raise ConfigError(
+            f"{option} {text} needs --cert (deploy/secure/authority.sh makes certificates to try it with)"
+        )
+    if found[1] == "tcp" and tls is not None:
+        raise ConfigError(f"{option} {text} shows no certificate: write tls/ for tcp/, or leave --cert out")
+    if found[1] == "tcp" and found[2] not in (TCP_HOST, "localhost", "[::1]"):
+        raise ConfigError(f"{option} {text} would be open to everybody: use tls/... with --cert")
+    return text
+
+
+def certificates(cert: str | None, key: str | None, ca: str | None) -> Tls | None:
+    """The files, as absolute paths; None where there is none. The key is beside the certificate, as NAME.key beside
+    NAME.pem, and the authority's is ca.pem beside it, unless given. Raises `ConfigError` for what cannot be read.
+    """
+    if cert is None:
+        if key or ca:
+            raise ConfigError("--key and --ca need --cert")
+        return None
+    here = Path(cert)
+    files = (here, Path(key) if key else here.with_suffix(".key"), Path(ca) if ca else here.parent / "ca.pem")
+    for option, file in zip(("--cert", "--key", "--ca"), files, strict=True):
+        try:
+            if b"-----BEGIN" not in file.read_bytes()[:100_000]:
+                raise ConfigError(f"{file} is no PEM file: give another one with {option}")
+        except OSError as error:
+            raise ConfigError(f"{file}: {error.strerror}; give another one with {option}") from None
+    return Tls(cert=str(files[0].absolute()), key=str(files[1].absolute()), ca=str(files[2].absolute()))
+
+
+def car_name(name: str) -> str:
+    """A car's name, which becomes part of its keys. Raises `ConfigError`."""
+    if name and not _NAME.fullmatch(name):
+        raise ConfigError(f"--name {name!r}: letters, digits, - and _ only, at most 40")
+    return name
 
 
 def roles_of(door: DoorOptions, left_out: Collection[str] = ()) -> dict[str, Role]:

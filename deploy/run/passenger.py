@@ -7,14 +7,16 @@ import secrets
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import msgspec
 
-from deploy.run.processes import TCP_HOST
+from deploy.run.links import TCP_HOST, car_name, certificates, endpoint
 from deploy.run.status import mode_of
 from schemas.runtime.bus import BusConfig, BusError, open_bus
+from schemas.runtime.bus_settings import Tls
 from schemas.runtime.clock import NS
-from schemas.runtime.process import FAILED, OK, UNAVAILABLE, USAGE
+from schemas.runtime.process import FAILED, OK, UNAVAILABLE, USAGE, ConfigError
 from schemas.wire import topics
 from schemas.wire.codec import Fault
 from schemas.wire.messages import Command, Reply, Status
@@ -31,22 +33,50 @@ CLEAR = "\x1b[H\x1b[2J"
 """Of a terminal: the next text takes the place of the last."""
 
 
-def _nobody(port: int) -> int:
-    print(f"fastslow: nobody is there on {TCP_HOST}:{port}; start it with: fastslow run", file=sys.stderr)
+@dataclass(frozen=True, kw_only=True)
+class Reach:
+    """Which car is meant, and who we are to it."""
+
+    port: int
+    """On loopback, if `connect` is empty."""
+    connect: str = ""
+    tls: Tls | None = None
+    name: str = ""
+
+    @property
+    def where(self) -> str:
+        """For people."""
+        return self.connect or f"{TCP_HOST}:{self.port}"
+
+    def client(self) -> BusConfig:
+        """Raises `ConfigError` for what is no endpoint."""
+        at = endpoint(self.connect, self.tls, "--connect") if self.connect else f"tcp/{TCP_HOST}:{self.port}"
+        return BusConfig(mode="client", connect=(at,), tls=self.tls, namespace=car_name(self.name))
+
+
+def reach(port: int, connect: str | None, cert: str | None, key: str | None, ca: str | None, name: str | None) -> Reach:
+    """From what a user has said. Raises `ConfigError`, naming the fix."""
+    tls = certificates(cert, key, ca)
+    if tls is not None and not connect:
+        raise ConfigError("--cert needs --connect tls/HOST:PORT")
+    found = Reach(port=port, connect=connect or "", tls=tls, name=name or "")
+    found.client()
+    return found
+
+
+def _nobody(car: Reach) -> int:
+    fix = "start it with: fastslow run" if not car.connect else "is it there, and is this certificate of its authority?"
+    print(f"fastslow: nobody is there on {car.where}; {fix}", file=sys.stderr)
     return UNAVAILABLE
 
 
-def _client(port: int) -> BusConfig:
-    return BusConfig(mode="client", connect=(f"tcp/{TCP_HOST}:{port}",))
-
-
-def say(text: str, *, port: int, wait: bool, timeout_s: float, as_json: bool) -> int:
+def say(text: str, *, car: Reach, wait: bool, timeout_s: float, as_json: bool) -> int:
     """Publish a command and print the replies to it, until it is issued or, with `wait`, until its outcome."""
     out = sys.stderr if as_json else sys.stdout
     command = Command(epoch=0, stamp_ns=time.monotonic_ns(), id=secrets.randbits(48), text=text, source="say")
     replies: list[Reply] = []
     try:
-        with open_bus(_client(port)) as bus:
+        with open_bus(car.client()) as bus:
             incoming = bus.subscribe(topics.REPLY)
             try:
                 bus.publish(topics.COMMAND, command)
@@ -61,7 +91,7 @@ def say(text: str, *, port: int, wait: bool, timeout_s: float, as_json: bool) ->
                         print("".join(_words(reply)), file=out, flush=True)
                 time.sleep(_POLL_S)
     except BusError:
-        return _nobody(port)
+        return _nobody(car)
     if as_json:
         print(
             json.dumps(
@@ -115,12 +145,12 @@ def _short(value: float) -> str:
     return f"{value:.0f}" if value.is_integer() else f"{value:.3g}"
 
 
-def status(*, port: int, as_json: bool, watch: bool = False) -> int:
+def status(*, car: Reach, as_json: bool, watch: bool = False) -> int:
     """Print the newest heartbeat of every node; with `watch` again each second, until Ctrl-C or until all are gone."""
     nodes: dict[str, Status] = {}
     clear = watch and not as_json and sys.stdout.isatty()
     try:
-        with open_bus(_client(port)) as bus:
+        with open_bus(car.client()) as bus:
             heartbeats = bus.subscribe(topics.STATUS)
             while True:
                 deadline, heard = time.monotonic() + _STATUS_WAIT_S, 0
@@ -129,7 +159,7 @@ def status(*, port: int, as_json: bool, watch: bool = False) -> int:
                         nodes[heartbeat.node], heard = heartbeat, heard + 1
                     time.sleep(_POLL_S)
                 if not heard:
-                    print(f"fastslow: no node is alive behind {TCP_HOST}:{port}", file=sys.stderr)
+                    print(f"fastslow: no node is alive behind {car.where}", file=sys.stderr)
                     return UNAVAILABLE
                 newest = [nodes[name] for name in sorted(nodes)]
                 said = _as_json(newest) if as_json else "\n".join(map(_line, newest))
@@ -137,7 +167,7 @@ def status(*, port: int, as_json: bool, watch: bool = False) -> int:
                 if not watch:
                     return OK
     except BusError:
-        return _nobody(port)
+        return _nobody(car)
 
 
 def _as_json(newest: list[Status]) -> str:

@@ -1,0 +1,228 @@
+"""A car that is reached from other hosts: certificates say who may do what, and outsiders may do nothing.
+
+Door and visitors are in network namespaces of their own, joined by a cable, where this machine lets us make them (as
+root, with `ip`); elsewhere all are on loopback.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from deploy.run.launch import children, environment
+from deploy.run.links import DoorOptions, Links, car_name, certificates, endpoint
+from deploy.run.processes import door_process, free_port
+from schemas.runtime.bus import BusConfig, ZenohBus, open_bus
+from schemas.runtime.bus_settings import Tls
+from schemas.runtime.process import ConfigError
+from schemas.wire import topics
+from schemas.wire.messages import Status
+from schemas.wire.roles import ROLES
+from schemas.wire.topics import TOPICS
+from tests.waiting import until
+
+ROOT = Path(__file__).parents[3]
+AUTHORITY = ROOT / "deploy/secure/authority.sh"
+NAME = "car-7"
+VISIT_S, QUIET_S = 3.0, 0.5
+
+pytestmark = [pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl"), pytest.mark.timeout(180)]
+
+
+def made(folder: Path, *hosts: str) -> Path:
+    subprocess.run(["sh", str(AUTHORITY), str(folder), *hosts], check=True, capture_output=True)
+    return folder
+
+
+def shown(folder: Path, role: str) -> Tls:
+    found = certificates(str(folder / f"{role}.pem"), None, None)
+    assert found is not None
+    return found
+
+
+@dataclass
+class Hosts:
+    """Two hosts: how to run something on each, and where the first one listens."""
+
+    car: tuple[str, ...] = ()
+    visitor: tuple[str, ...] = ()
+    address: str = "127.0.0.1"
+
+    @property
+    def apart(self) -> bool:
+        return bool(self.car)
+
+
+def _ip(*words: str) -> bool:
+    try:
+        return subprocess.run(["ip", *words], capture_output=True, check=False).returncode == 0
+    except OSError:
+        return False
+
+
+@pytest.fixture(scope="module")
+def hosts() -> Iterator[Hosts]:
+    mark = os.getpid() % 100_000
+    car, visitor, cable = f"fscar{mark}", f"fsvis{mark}", (f"fsa{mark}", f"fsb{mark}")
+    steps = (
+        ("netns", "add", car),
+        ("netns", "add", visitor),
+        ("link", "add", cable[0], "netns", car, "type", "veth", "peer", "name", cable[1], "netns", visitor),
+        *(("-n", space, "link", "set", "lo", "up") for space in (car, visitor)),
+        ("-n", car, "addr", "add", "10.77.0.1/24", "dev", cable[0]),
+        ("-n", visitor, "addr", "add", "10.77.0.2/24", "dev", cable[1]),
+        ("-n", car, "link", "set", cable[0], "up"),
+        ("-n", visitor, "link", "set", cable[1], "up"),
+    )
+    try:
+        if all(_ip(*step) for step in steps):
+            yield Hosts(("ip", "netns", "exec", car), ("ip", "netns", "exec", visitor), "10.77.0.1")
+        else:
+            yield Hosts()
+    finally:
+        for space in (car, visitor):
+            _ip("netns", "del", space)
+
+
+@dataclass
+class Car:
+    inside: ZenohBus
+    hosts: Hosts
+    endpoint: str
+    folder: Path
+    """With the certificates."""
+
+    def visited(self, config: BusConfig) -> tuple[dict[str, Any], set[str]]:
+        """What a visitor tells, and the topics on which something of it came in."""
+        heard = {topic.name: self.inside.subscribe_bytes(topic) for topic in TOPICS}
+
+        def come() -> set[str]:
+            mine = (b"inside", b"door")
+            taken = {name: reader.take() for name, reader in heard.items()}
+            return {name for name, these in taken.items() if any(not any(m in one for m in mine) for one in these)}
+
+        last_s = time.monotonic()
+        while time.monotonic() - last_s < QUIET_S:  # the door may still carry what the last visitor said
+            last_s = time.monotonic() if come() else last_s
+            time.sleep(0.05)
+        told = msgspec.json.encode(config).decode()
+        visit = subprocess.Popen(
+            [*self.hosts.visitor, sys.executable, "-m", "tests.deploy.door.visitor", told, str(VISIT_S)],
+            cwd=ROOT,
+            env=environment(),
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        came: set[str] = set()
+        while visit.poll() is None:
+            for topic in TOPICS:
+                self.inside.publish_bytes(topic, b"inside")
+            time.sleep(0.05)
+            came |= come()
+        out, _ = visit.communicate()
+        found: dict[str, Any] = json.loads(out)
+        return found, came
+
+    def client(self, tls: Tls | None, name: str = NAME, scheme: str = "tls") -> BusConfig:
+        at = self.endpoint.replace("tls/", f"{scheme}/")
+        return BusConfig(mode="client", connect=(at,), tls=tls, namespace=name)
+
+
+@pytest.fixture(scope="module")
+def car(hosts: Hosts) -> Iterator[Car]:
+    with ExitStack() as stack:
+        folder = Path(tempfile.mkdtemp(prefix="fastslow-"))
+        stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        certs = made(folder / "certs", hosts.address)
+        listen = f"tls/{hosts.address if hosts.apart else '127.0.0.1'}:{7447 if hosts.apart else free_port()}"
+        links = Links(folder, DoorOptions(listen=listen, tls=shown(certs, "door"), name=NAME), frozenset({"fast"}))
+        links.write_logins()
+        inside = stack.enter_context(open_bus(links.supervisor()))
+        beats = inside.subscribe(topics.STATUS)
+        door = stack.enter_context(children())("door", [*hosts.car, *door_process(links).argv], folder / "door.jsonl")
+
+        def is_up() -> Status | None:
+            assert not door.trouble(), door.trouble()
+            return beats.peek()
+
+        until(is_up, "no door")
+        yield Car(inside, hosts, listen, certs)
+
+
+@pytest.mark.parametrize("role", ["passenger", "operator", "recorder", "fast"])
+def test_each_role_does_its_job_and_no_more(role: str, car: Car, record_property: Any) -> None:
+    found, came = car.visited(car.client(shown(car.folder, role)))
+    record_property("measured", f"{role}, {'network namespaces' if car.hosts.apart else 'loopback'}")
+    may = ROLES[role]
+    assert found["let_in"]
+    assert came == {topic.name for topic in may.puts if topic is not topics.EVENT}  # its event cannot be read
+    assert set(found["told"]) == {topic.name for topic in may.reads}
+
+
+def test_a_node_whose_place_is_taken_is_nobody(car: Car) -> None:
+    found, came = car.visited(car.client(shown(car.folder, "slow")))
+    assert (came, found["told"]) == (set(), [])
+
+
+def outsiders(car: Car, elsewhere: Path) -> dict[str, BusConfig]:
+    """Who is none of ours."""
+    forged = made(elsewhere)
+    ours = shown(car.folder, "operator")
+    mixed = Tls(ca=ours.ca, cert=str(forged / "operator.pem"), key=str(forged / "operator.key"))
+    return {
+        "no certificate, no TLS": car.client(None, scheme="tcp"),
+        "a certificate of another authority": car.client(shown(forged, "operator")),
+        "a certificate of another authority that trusts ours": car.client(mixed),
+    }
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_an_outsider_delivers_and_receives_nothing(number: int, car: Car, tmp_path: Path, record_property: Any) -> None:
+    who, config = list(outsiders(car, tmp_path).items())[number]
+    found, came = car.visited(config)
+    record_property("measured", f"{who}: {len(came)} samples in, {len(found['told'])} out")
+    assert (came, found["told"]) == (set(), [])
+
+
+def test_who_calls_another_car_is_not_heard_by_this_one(car: Car) -> None:
+    found, came = car.visited(car.client(shown(car.folder, "operator"), name="car-8"))
+    assert (came, found["told"]) == (set(), [])
+
+
+@pytest.mark.parametrize(
+    ("text", "tls", "words"),
+    [
+        ("tls/0.0.0.0:7447", False, "needs --cert"),
+        ("tcp/0.0.0.0:7447", False, "open to everybody"),
+        ("tcp/127.0.0.1:7447", True, "no certificate"),
+        ("tcp/127.0.0.1:99999", False, "no endpoint"),
+        ("quic/127.0.0.1:7447", False, "no endpoint"),
+        ("127.0.0.1:7447", False, "no endpoint"),
+    ],
+)
+def test_where_nobody_could_be_let_in_safely_is_one_line_that_names_the_fix(text: str, tls: bool, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        endpoint(text, Tls(ca="a", cert="b", key="c") if tls else None, "--listen")
+
+
+def test_files_that_are_no_certificates_are_named_with_their_option(tmp_path: Path) -> None:
+    (tmp_path / "door.pem").write_text("nothing")
+    with pytest.raises(ConfigError, match=r"door\.pem is no PEM file: give another one with --cert"):
+        certificates(str(tmp_path / "door.pem"), None, None)
+    with pytest.raises(ConfigError, match="--key and --ca need --cert"):
+        certificates(None, "door.key", None)
+    with pytest.raises(ConfigError, match="letters, digits"):
+        car_name("car/*")
