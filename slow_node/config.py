@@ -40,7 +40,8 @@ class SlowConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     k: int = 4
     """Examples recalled for the language model; 0: none."""
     ask: Literal["auto", "always", "unsure", "never"] = "auto"
-    """When the language model is asked; `auto`: an endpoint always, the embedded model where the parser is unsure."""
+    """When the language model is asked; `auto`: always; a model of one's own in the embedded one's place
+    only where the reader is unsure, for nobody has measured it."""
     parser: bool = True
     """False: without the trained intent parser, the language model alone (for measurements)."""
     shipped_examples: bool = True

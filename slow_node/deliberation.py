@@ -4,8 +4,12 @@ Pure: no clock, no sockets, no asyncio. The shell passes the time in and carries
 wins; one interpretation is in flight; one command is pursued and outlives its directives until it is fulfilled,
 cancelled, replaced or given up. Whatever was asked for, its directive is renewed before it expires. It is planned again
 when its road changes: the car ahead is passed, the fast node delays the directive, the lane is clear again, a slow car
-is ahead of somebody in a hurry. The words have not changed then, so no model is asked: the same slots are planned for
-the present scene, by the rules of `slow_node.planning.directive`, at most once in `REPLAN_EVERY_S`.
+is ahead of somebody in a hurry. The same slots are planned for the present scene at once, by the rules of
+`slow_node.planning.directive`, at most once in `REPLAN_EVERY_S`; the language model is asked again meanwhile.
+
+An interpretation comes once, or twice: the quick reader's at once, `provisional`, and the language model's verdict on
+it, which confirms, refines or withdraws what is being done, or is overruled. Nothing waits for it; once a newer command
+has come it counts for nothing.
 
 A command is a program (`slow_node.agenda`): its steps begin at once, one after the other, or when what they wait for
 has come, which is watched at every scene from the end of the step before on, for a minute at most.
@@ -23,14 +27,15 @@ from msgspec import structs
 
 from schemas.runtime.clock import NS
 from schemas.wire import topics
-from schemas.wire.messages import Command, Directive, Event, EventKind, Reply, ReplyOutcome
+from schemas.wire.messages import Command, Directive, Event, EventKind, Reply, ReplyOutcome, Verdict
 from schemas.wire.program import Program, Trigger
 from slow_node.agenda import WAIT_MAX_S, Agenda, told, watch
 from slow_node.answers import Answers, lasts_sentence, waits_sentence
 from slow_node.dialogue import Said, asked, follows, lacks_its_side, resolved, which_side
 from slow_node.effects import Abandon, Effect, Interpret
-from slow_node.interpreter import Interpretation
+from slow_node.interpreter import Context, Interpretation
 from slow_node.planning.directive import Refusal, directive_of
+from slow_node.planning.program_text import brief
 from slow_node.planning.replies import sentence
 from slow_node.planning.scene import Scene
 from slow_node.planning.spoken import place
@@ -41,6 +46,8 @@ from slow_node.understanding.reading.values import steps_of
 from slow_node.understanding.slots import Slots
 
 SCENE_MAX_AGE_S, SPARE_S = 10.0, 2.0
+TURNS = 3
+"""So many commands back go into a prompt."""
 
 
 @dataclass(frozen=True)
@@ -48,20 +55,33 @@ class _Pending:
     id: int
     command: Command
     scene: Scene
+    acted: bool = False
+    """The reader's word is acted on; the model's is still to come."""
+    again: str = ""
+    """Why the model was asked once more."""
+
+    @property
+    def waits(self) -> bool:
+        """Its passenger has no answer yet."""
+        return not self.acted and not self.again
 
 
 class Deliberation(Pursuing):
     """Commands, scenes, events and interpretations in; effects out."""
 
-    def __init__(self, budget_s: float = 0.0) -> None:
-        """budget_s: what an interpretation may take. One that took little longer counts."""
+    def __init__(self, budget_s: float = 0.0, *, asks_again: bool = False) -> None:
+        """budget_s: what an interpretation may take. One that took little longer counts. asks_again: whether the
+        language model is asked once more when a directive is held up or its road turns."""
         super().__init__()
+        self._asks_again = asks_again
         self._thinks_at_most_s = max(SCENE_MAX_AGE_S, budget_s + SPARE_S)
         self._held: Command | None = None
         """A command that came before the first observation."""
         self._pending: _Pending | None = None
         self._said: Said | None = None
-        self._asked_for = 0
+        self._asked_for = self._asked_more = 0
+        self._turns: tuple[str, ...] = ()
+        """What was asked for last, in brief."""
 
     def open_wishes(self) -> list[Wish]:
         """Those whose passenger has not had the last reply."""
@@ -102,11 +122,11 @@ class Deliberation(Pursuing):
             return [self._refused(command, f"the command came {age_s:.0f} s late", "again", now_ns)]
         effects: list[Effect] = [self._reply(command, "heard", now_ns)]
         if self._pending is not None:
-            say = sentence("superseded", self._language)
-            effects += [
-                self._reply(self._pending.command, "superseded", now_ns, say=say, why="a newer command came"),
-                Abandon(),
-            ]
+            if self._pending.waits:
+                say = sentence("superseded", self._language)
+                old = self._pending.command
+                effects.append(self._reply(old, "superseded", now_ns, say=say, why="a newer command came"))
+            effects.append(Abandon())
             self._pending = None
         if self._scene is None:
             if self._held is not None:
@@ -126,7 +146,31 @@ class Deliberation(Pursuing):
         before = self._pursuit
         held_up = before is not None and before.delayed_by and not before.fulfilled
         delayed = (before.directive.manoeuvre, before.delayed_by) if before is not None and held_up else ("", "")
-        return [Interpret(self._asked_for, command.id, command.text, scene, *delayed)]
+        context = Context(self._turns, self._wishes(), *delayed)
+        return [Interpret(self._asked_for, command.id, command.text, scene, context)]
+
+    def _wishes(self) -> str:
+        """What stands of the commands before, in brief."""
+        program = self._standing()
+        return "" if program is None else brief(program)
+
+    def _standing(self) -> Program | None:
+        agenda, pursuit = self._agenda, self._pursuit
+        if agenda is not None and (pursuit is None or agenda.command.id == pursuit.command.id):
+            return agenda.program if pursuit is not None or agenda.waiting() is not None else None
+        return Program(outcome="directive", steps=steps_of(pursuit.slots)) if pursuit is not None else None
+
+    def _asked_again(self, pursuit: Pursuit, what: str, scene: Scene) -> list[Effect]:
+        """Ask the model about a command under way, unless it is thinking already. Its id is a negative one."""
+        standing = self._standing()
+        if not self._asks_again or self._pending is not None or pursuit.is_done or standing is None:
+            return []
+        self._asked_more += 1
+        self._pending = _Pending(-self._asked_more, pursuit.command, scene, again=what)
+        context = Context(
+            self._turns[:-1], brief(standing), pursuit.directive.manoeuvre, pursuit.delayed_by, what, standing
+        )
+        return [Interpret(self._pending.id, pursuit.command.id, pursuit.command.text, scene, context)]
 
     def on_interpretation(self, identity: int, found: Interpretation, now_ns: int) -> list[Effect]:
         """One has ended: the gates, in order, are its schema, the road, and how old its scene is.
@@ -136,7 +180,45 @@ class Deliberation(Pursuing):
         pending = self._pending
         if pending is None or pending.id != identity:
             return []
+        if found.provisional:
+            self._pending = replace(pending, acted=True)
+            return self._act(pending, found, now_ns)
         self._pending = None
+        if found.verdict:
+            self.metrics[found.verdict] = self.metrics.get(found.verdict, 0) + 1
+        if pending.waits:
+            return [self._judged(effect, found.verdict) for effect in self._act(pending, found, now_ns)]
+        return self._second_thought(pending, found, now_ns)
+
+    @staticmethod
+    def _judged(effect: Effect, verdict: Verdict) -> Effect:
+        return structs.replace(effect, verdict=verdict) if isinstance(effect, Reply) else effect
+
+    def _second_thought(self, pending: _Pending, found: Interpretation, now_ns: int) -> list[Effect]:
+        """The model has answered while the car did already what the reader has made of the command."""
+        command, pursuit, agenda = pending.command, self._pursuit, self._agenda
+        stands = (pursuit is not None and pursuit.command.id == command.id and not pursuit.fulfilled) or (
+            agenda is not None and agenda.command.id == command.id and agenda.waits is not None
+        )
+        if found.verdict == "refined" and (stands or not pending.again):
+            return [self._judged(effect, "refined") for effect in self._act(pending, found, now_ns)]
+        if found.verdict == "withdrew" and stands and self._scene is not None:
+            over = Slots(outcome="directive", cancel=True, language=self._language)
+            draft = directive_of(over, self._scene)
+            assert isinstance(draft, Directive)  # normal driving is never refused
+            self._agenda = self._pursuit = None
+            directive = self._directive(command, draft, self._scene, "the language model took it back", now_ns)
+            why = f"the language model took it back: {found.slots.outcome if found.slots else 'unclear'}"
+            said = directive_of(found.slots, self._scene) if found.slots is not None else None
+            say = said.say if isinstance(said, Refusal) else sentence("unclear", self._language)
+            return [directive, self._judged(self._refused(command, why, "", now_ns, say=say), "withdrew")]
+        if pending.again and found.verdict != "overruled":
+            return []
+        told = self._told[1] if self._told is not None and self._told[0] == command.id else "issued"
+        return [self._judged(self._reply(command, told, now_ns, why=found.why), found.verdict)]
+
+    def _act(self, pending: _Pending, found: Interpretation, now_ns: int) -> list[Effect]:
+        """Begin what a command was found to mean, or say why not."""
         command = pending.command
         if found.slots is None:
             if not found.model_answered:
@@ -183,8 +265,11 @@ class Deliberation(Pursuing):
         if late:
             return [self._refused(command, "the answer came too late for its scene", "again", now_ns)]
         is_to_wait = waits is not None and not waits.due(scene, now_ns)
+        if self._agenda is not None and self._agenda.command.id == command.id:
+            self._agenda = None  # the same command, understood better
         dropped = self._drop_agenda("cancelled" if slots.cancel else "superseded", is_to_wait, now_ns)
         self._said = Said(program.steps, scene)
+        self._turns = (*self._turns, brief(program))[-TURNS:]
         if is_to_wait:
             self._agenda = agenda
             return [*dropped, *self._waiting(agenda, draft.say, now_ns)]

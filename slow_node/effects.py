@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from schemas.wire.messages import Directive, Event, Reply
+from slow_node.interpreter import Context
 from slow_node.planning.scene import Scene
 from slow_node.understanding.slots import Slots
 
@@ -17,10 +18,7 @@ class Interpret:
     command_id: int
     command: str
     scene: Scene
-    delayed: str = ""
-    """The manoeuvre before it that the fast node is delaying; "" where there is none."""
-    delayed_by: str = ""
-    """The rule by which it does."""
+    context: Context = field(default_factory=Context)
 
 
 @dataclass(frozen=True)

@@ -66,11 +66,25 @@ def as_found(found: Interpretation) -> Found:
     """What counts of an interpretation for what is done about it."""
     slots = found.slots
     text = json.dumps({**slots.model_dump(), "language": slots.language}) if slots is not None else ""
-    return Found(slots=text, why=found.why, model_answered=found.model_answered, program=found.program)
+    return Found(
+        slots=text,
+        why=found.why,
+        model_answered=found.model_answered,
+        program=found.program,
+        provisional=found.provisional,
+        verdict=found.verdict,
+    )
 
 
 def interpretation_of(found: Found) -> Interpretation:
     """The same for `Deliberation.on_interpretation`."""
     fields: dict[str, Any] = json.loads(found.slots) if found.slots else {}
     slots = Slots(**fields) if fields else None
-    return Interpretation(slots, found.why, found.model_answered, program=found.program)
+    return Interpretation(
+        slots,
+        found.why,
+        found.model_answered,
+        program=found.program,
+        provisional=found.provisional,
+        verdict=found.verdict,
+    )

@@ -18,8 +18,9 @@ from schemas.wire.messages import Directive, Event, EventKind, Reply
 from slow_node.config import BUDGET_S, TOKEN, SlowConfig
 from slow_node.deliberation import Deliberation
 from slow_node.effects import Abandon, Effect, Interpret, Remember
-from slow_node.interpreter import Interpretation, Interpreter, Style
+from slow_node.interpreter import ENDPOINT_TRUST, SURE, Interpretation, Interpreter, Style
 from slow_node.journal import Diary
+from slow_node.llm.adapter import read_adapter
 from slow_node.llm.embedding import load_embedder
 from slow_node.llm.endpoint import is_loopback
 from slow_node.llm.model import MAX_TOKENS, MAX_TOKENS_SHORT, ChatModel
@@ -54,7 +55,7 @@ class SlowNode:
         self._observations = bus.subscribe(topics.OBSERVATION)
         self._commands = bus.subscribe_bytes(topics.COMMAND)
         self._events = bus.subscribe(topics.EVENT)
-        self._deliberation = Deliberation(budget_s)
+        self._deliberation = Deliberation(budget_s, asks_again=interpreter.asks_again)
         self._diary = Diary(lambda journal: bus.publish(topics.JOURNAL, journal))
         self._interpretation: asyncio.Task[None] | None = None
         self._chores: set[asyncio.Task[None]] = set()
@@ -160,13 +161,19 @@ class SlowNode:
             self._interpretation = None
 
     async def _interpret(self, effect: Interpret) -> None:
-        trace = Trace()
+        trace = Trace(again=effect.context.again)
+        first: list[Reply] = []
         try:
             found = await self._interpreter.interpret(
-                effect.command, effect.scene, effect.delayed, effect.delayed_by, trace
+                effect.command,
+                effect.scene,
+                effect.context,
+                trace,
+                lambda provisional: first.extend(self._take(effect, provisional)),
             )
         except asyncio.CancelledError:
-            self._record(trace, Interpretation(None, source=trace.model), effect, "superseded")
+            told = first[0].outcome if first else "superseded"
+            self._record(trace, Interpretation(None, source="parser" if first else trace.model), effect, told)
             raise
         except Exception as error:  # a passenger must get an answer even where this broke
             log(NAME, "fault", f"{type(error).__name__}: {error}")
@@ -175,6 +182,13 @@ class SlowNode:
             self._model_ms = found.model_ms
         # Forgotten before its effects: they must not cancel the task that carries them out.
         self._interpretation = None
+        replies = [*first, *self._take(effect, found)]
+        reply = replies[0] if replies else None
+        trace.guards += [one.why for one in replies if one.why]
+        self._record(trace, found, effect, reply.outcome if reply else "issued" if effect.id < 0 else "superseded")
+
+    def _take(self, effect: Interpret, found: Interpretation) -> list[Reply]:
+        """Have an interpretation counted and carried out; the replies to its command."""
         now_ns = time.monotonic_ns()
         self._diary.interpretation(effect.id, found, now_ns)
         try:
@@ -184,12 +198,7 @@ class SlowNode:
             why = f"internal error: {type(error).__name__}"
             effects = self._deliberation.refuse_payload(why, effect.command_id, now_ns)
         self._carry_out(effects)
-        reply = next(
-            (e for e in effects if isinstance(e, Reply) and e.outcome not in ("superseded", "cancelled")), None
-        )
-        if reply is not None and reply.why:
-            trace.guards.append(reply.why)
-        self._record(trace, found, effect, reply.outcome if reply else "superseded")
+        return [e for e in effects if isinstance(e, Reply) and e.outcome not in ("superseded", "cancelled")]
 
     def _record(self, trace: Trace, found: Interpretation, asked: Interpret, outcome: str) -> None:
         """Tell how the command came to be understood, with what became of it."""
@@ -245,12 +254,17 @@ def build_interpreter(config: SlowConfig) -> tuple[Interpreter, Memory, ChatMode
     if not key and not config.embedded and not is_loopback(config.base_url):
         log(NAME, "key", f"{config.api_key_env} is not set; calling {config.base_url} without a key")
     most = config.max_tokens or (MAX_TOKENS_SHORT if config.embedded else MAX_TOKENS)
-    model = ChatModel(config.base_url, config.model, key, max_tokens=most)
-    ask = config.ask if config.ask != "auto" else "unsure" if config.embedded else "always"
+    adapted = config.embedded and config.adapter
+    model = ChatModel(config.base_url, config.model, key, max_tokens=most, odds=adapted)
+    ask = config.ask if config.ask != "auto" else "unsure" if config.embedded and not adapted else "always"
     parser = IntentParser.load(embedder) if config.parser else None
     reader = ProgramReader(parser) if parser is not None else None
-    style: Style = "full" if not config.embedded else "adapted" if config.adapter else "short"
-    interpreter = Interpreter(memory, model, reader, style=style, k=config.k, budget_s=config.budget_s, ask=ask)
+    learnt = read_adapter() if adapted else None
+    style: Style = "full" if not config.embedded else "short" if learnt is None else learnt.answers
+    trust = ENDPOINT_TRUST if not config.embedded else SURE if learnt is None else learnt.trust
+    interpreter = Interpreter(
+        memory, model, reader, style=style, k=config.k, budget_s=config.budget_s, ask=ask, trust=trust
+    )
     return interpreter, memory, model
 
 

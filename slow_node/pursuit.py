@@ -203,10 +203,15 @@ class Pursuing(Voice):
             return []
         self.metrics["replans"] += 1
         pursuit = self._pursuit = replace(pursuit, planned_ns=now_ns)
+        again = self._asked_again(pursuit, what, scene)
         draft = pursuit.planned_again(scene)
         if draft.manoeuvre != "overtake" and asks_the_same(draft, pursuit.directive):
-            return []
-        return self._issue(pursuit, draft, scene, what, now_ns)
+            return again
+        return [*self._issue(pursuit, draft, scene, what, now_ns), *again]
+
+    def _asked_again(self, pursuit: Pursuit, what: str, scene: Scene) -> list[Effect]:
+        """Have the language model think about the command once more; nothing waits for it."""
+        return []
 
     def _issue(self, pursuit: Pursuit, draft: Directive, scene: Scene, what: str, now_ns: int) -> list[Effect]:
         """Another directive for the same command; a reply only where there is something to say, and none after the

@@ -14,7 +14,7 @@ import msgspec
 from msgspec.structs import replace
 
 from schemas.runtime.process import log
-from schemas.wire.messages import Recalled, Thought, Try, Turn
+from schemas.wire.messages import Recalled, Thought, Try, Turn, Verdict
 from schemas.wire.text import json_line
 from slow_node.llm.dialect import Chat
 from slow_node.llm.model import Call
@@ -53,6 +53,10 @@ class Trace:
     prompt_tokens: int = 0
     answer_tokens: int = 0
     cost_usd: float | None = None
+    verdict: Verdict = ""
+    """What the model's answer did to the reader's."""
+    again: str = ""
+    """Why the model was asked once more."""
 
 
 def thought_of(
@@ -94,6 +98,8 @@ def thought_of(
         model=trace.model,
         tries=tuple(_tries(trace)),
         cost_usd=trace.cost_usd,
+        verdict=trace.verdict,
+        again=trace.again,
     )
 
 

@@ -23,6 +23,8 @@ class Voice:
         self._agenda: Agenda | None = None
         self._language = "en"
         self._last_id = 0
+        self._told: tuple[int, ReplyOutcome] | None = None
+        """The command that was answered last, and how."""
         self.metrics: dict[str, float] = {"commands": 0, "directives": 0, "refused": 0, "replans": 0}
 
     @property
@@ -71,6 +73,7 @@ class Voice:
         directive_id: int | None = None,
         waits: str = "",
     ) -> Reply:
+        self._told = command.id, outcome
         return Reply(
             epoch=self.epoch,
             stamp_ns=now_ns,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from schemas.runtime.clock import NS
-from schemas.wire.messages import Command, Directive, Event, EventKind, Lane, Observation, Reason, Reply
+from schemas.wire.messages import Command, Directive, Event, EventKind, Lane, Observation, Reason, Reply, Verdict
 from schemas.wire.program import Outcome, Program, Question, Step
 from slow_node.deliberation import Deliberation
 from slow_node.effects import Effect, Interpret, Remember
@@ -50,8 +50,9 @@ def scene(ego: int, *cars: Car, lanes: tuple[Lane, ...] = ONE_WAY, speed: float 
 class Ride:
     """A deliberation with its time, and all that came out of it. Times in seconds."""
 
-    def __init__(self, lanes: tuple[Lane, ...] = ONE_WAY, budget_s: float = 0.0) -> None:
-        self.deliberation, self.lanes, self.now_s, self.said = Deliberation(budget_s), lanes, START_S, 0
+    def __init__(self, lanes: tuple[Lane, ...] = ONE_WAY, budget_s: float = 0.0, *, asks_again: bool = False) -> None:
+        self.deliberation = Deliberation(budget_s, asks_again=asks_again)
+        self.lanes, self.now_s, self.said = lanes, START_S, 0
         self.out: list[Effect] = []
 
     def look(
@@ -73,6 +74,19 @@ class Ride:
         call = next(e for e in self.hear() if isinstance(e, Interpret))
         self.now_s += thinks_s
         found = Interpretation(slots, "", reached, program=program)
+        return self._keep(self.deliberation.on_interpretation(call.id, found, self._now()))
+
+    def read(self, slots: Slots) -> Interpret:
+        """A command that the quick reader is sure of, and acts on; the model is still thinking."""
+        call = next(e for e in self.hear() if isinstance(e, Interpret))
+        self.answer(call, slots, provisional=True)
+        return call
+
+    def answer(
+        self, call: Interpret, slots: Slots, verdict: Verdict = "", *, provisional: bool = False, why: str = ""
+    ) -> list[Effect]:
+        """What a call comes to."""
+        found = Interpretation(slots, why, provisional=provisional, verdict=verdict)
         return self._keep(self.deliberation.on_interpretation(call.id, found, self._now()))
 
     def ask_for(self, *steps: Step, question: Question = "", outcome: Outcome = "directive") -> list[Effect]:

@@ -149,6 +149,7 @@ class Passenger:
         self.listen(spacing_s - (time.monotonic_ns() - command.stamp_ns) / NS)
         heard = self._first(command.id, "heard")
         decided = self._first(command.id, "issued", "refused", "failed")
+        judged = next((r for r in self.heard.replies if r.command_id == command.id and r.verdict), None)
         directive = self.heard.directives.get(decided.directive_id or -1) if decided else None
         return {
             "id": command.id,
@@ -161,6 +162,8 @@ class Passenger:
             "directive": _content(directive) if directive else None,
             "heard_s": _after_s(command, heard),
             "decided_s": _after_s(command, decided),
+            "verdict": judged.verdict if judged else "",
+            "model_s": _after_s(command, judged),
         }
 
     def last(self, command_id: int) -> str:
@@ -277,6 +280,7 @@ def measure(
         "n": len(rows),
         "heard_s": _quantiles([row["heard_s"] for row in rows]),
         "decided_s": _quantiles([row["decided_s"] for row in rows]),
+        "model_s": _quantiles([row["model_s"] for row in rows]),
         "fast_loop": {name: after[name] - before[name] for name in ("ticks", "missed", "skipped", "collisions")},
         "rss_mb": memory,
         "restarted": replaced,
@@ -301,7 +305,7 @@ def lines(result: dict[str, Any]) -> Iterator[str]:
         if not row["as_expected"]:
             yield f"{'':>22}expected {row['expected']}; got {row['directive'] or row['why']}"
     yield f"{result['as_expected']} of {result['n']} as expected"
-    for name, what in (("heard_s", "heard"), ("decided_s", "decided")):
+    for name, what in (("heard_s", "heard"), ("decided_s", "decided"), ("model_s", "the language model's answer")):
         of = result[name]
         if of["n"]:
             yield (

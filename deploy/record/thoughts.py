@@ -91,7 +91,8 @@ def worded(kept: Kept, *, full: bool = False) -> list[str]:
     thought = kept.thought
     clock = plain(kept.time[11:19])
     by = f", by {plain(thought.source)}" if thought.source else ""
-    lines = [f"{clock} {plain(thought.command)!r}: {plain(thought.outcome)}{by}".strip()]
+    model = f", language model: {thought.verdict}" if thought.verdict else ""
+    lines = [f"{clock} {plain(thought.command)!r}: {plain(thought.outcome)}{by}{model}".strip()]
     for label, text in _parts(thought):
         shown = plain(text, None if full else SHOWN_CHARS)
         if shown:
@@ -102,6 +103,7 @@ def worded(kept: Kept, *, full: bool = False) -> list[str]:
 
 
 def _parts(thought: Thought) -> Iterator[tuple[str, str]]:
+    yield "again", thought.again
     yield "read as", thought.reading
     for number, one in enumerate(thought.recalled):
         words = f"{one.similarity:.2f} {one.command!r} {one.slots} {one.outcome}"

@@ -23,7 +23,7 @@ def check_slow(tape: Tape, budget_s: float) -> tuple[Comparison, Comparison]:
     again_replies: dict[tuple[int, int, str], Reply] = {}
     gaps: list[tuple[int, int]] = []
     for inputs, until_ns in _lives(tape):
-        deliberation = Deliberation(budget_s)
+        deliberation = Deliberation(budget_s, asks_again=True)
         for one in inputs:
             effects = _feed(deliberation, one, tape)
             if effects is None:

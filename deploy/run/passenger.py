@@ -107,6 +107,7 @@ def say(text: str, *, car: Reach, wait: bool, timeout_s: float, as_json: bool) -
                             "why": r.why,
                             "directive_id": r.directive_id,
                             "waits_for": r.waits_for,
+                            "verdict": r.verdict,
                             "after_s": round((r.stamp_ns - command.stamp_ns) / 1e9, 3),
                         }
                         for r in replies
@@ -139,6 +140,8 @@ def _words(reply: Reply) -> Iterator[str]:
         yield f": {plain(reply.say)}"
     if reply.why:
         yield f" ({plain(reply.why)})"
+    if reply.verdict:
+        yield f" [language model: {reply.verdict}]"
 
 
 def _short(value: float) -> str:

@@ -39,7 +39,8 @@ class Live:
         self._over(reply.outcome, reply.directive_id)
         said = f': "{plain(reply.say)}"' if reply.say else ""
         why = f" ({plain(reply.why)})" if reply.why else ""
-        return f'  {reply.outcome:<11} "{plain(reply.text, 70)}"{said}{why}'
+        model = f" [language model: {reply.verdict}]" if reply.verdict else ""
+        return f'  {reply.outcome:<11} "{plain(reply.text, 70)}"{said}{why}{model}'
 
     def event(self, event: Event) -> str | None:
         """The line for an event; None for one that a reply tells as well."""

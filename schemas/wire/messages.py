@@ -22,7 +22,7 @@ from msgspec import Struct
 
 from schemas.wire.program import Program, Step
 
-SCHEMA_VERSION = "3.3"
+SCHEMA_VERSION = "3.4"
 
 Manoeuvre = Literal["cruise", "follow", "overtake", "merge", "yield", "stop"]
 Mode = Literal["NOMINAL", "DEGRADED", "FAIL-SAFE", "STOPPED"]
@@ -215,6 +215,10 @@ class Directive(Message, frozen=True, kw_only=True, tag="directive"):
     """What the next step waits for; "": none waits."""
 
 
+Verdict = Literal["", "confirmed", "refined", "withdrew", "overruled", "decided", "unanswered"]
+"""What the language model's answer did to the quick reader's, which was acted on first: it is the same; another
+directive follows; nothing is left of it; it counts for nothing. decided: the car had waited for it. unanswered: none
+came, or none in time. "": no model was asked, or it has not answered yet."""
 ReplyOutcome = Literal["heard", "refused", "issued", "fulfilled", "expired", "superseded", "cancelled", "failed"]
 ENDS = ("fulfilled", "expired", "superseded", "cancelled", "failed")
 """What ends a directive: an event's kind or a reply's outcome."""
@@ -232,6 +236,8 @@ class Reply(Message, frozen=True, kw_only=True, tag="reply"):
     directive_id: int | None = None
     waits_for: str = ""
     """Understood, and done once this has come; "": nothing is waited for."""
+    verdict: Verdict = ""
+    """The language model has answered meanwhile. Where it changes nothing, the outcome is that of the reply before."""
 
 
 class EventKind(Open):
@@ -362,6 +368,9 @@ class Thought(Message, frozen=True, kw_only=True, tag="thought"):
     """Every exchange with its server: retries, other ways of asking, repairs."""
     cost_usd: float | None = None
     """Of them all; None: nobody knows."""
+    verdict: Verdict = ""
+    again: str = ""
+    """Why the model was asked once more about a command under way; "": the command was new."""
 
 
 class Control(Message, frozen=True, kw_only=True, tag="control"):
@@ -386,6 +395,9 @@ class Found(Struct, frozen=True, kw_only=True, omit_defaults=True):
     model_answered: bool
     program: Program | None = None
     """None: what the slots say, at once."""
+    provisional: bool = False
+    """The quick reader's, while the language model is still thinking."""
+    verdict: Verdict = ""
 
 
 class Input(Struct, frozen=True, kw_only=True, omit_defaults=True):

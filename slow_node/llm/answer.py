@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -49,6 +50,8 @@ class Answer:
     model: str = ""
     """What the server says has answered."""
     id: str = ""
+    probability: float | None = None
+    """Of the text, as the model has it: the product of its tokens'; None: the server does not tell."""
 
 
 class ModelAnswerError(ModelError):
@@ -94,6 +97,7 @@ def read_answer(content: bytes, secret: str = "") -> Answer:
         cost_usd=_cost(usage.get("cost")),
         model=plain(_text(body.get("model")), 120),
         id=plain(_text(body.get("id")), 120),
+        probability=_probability(choice.get("logprobs")),
     )
     _check(answer, message, secret)
     return answer
@@ -251,6 +255,15 @@ def _text(value: object) -> str:
 
 def _count(value: object) -> int:
     return min(value, 10**9) if isinstance(value, int) and value > 0 else 0
+
+
+def _probability(logprobs: Any) -> float | None:
+    tokens = logprobs.get("content") if isinstance(logprobs, dict) else None
+    if not isinstance(tokens, list) or not tokens:
+        return None
+    each = [token.get("logprob") if isinstance(token, dict) else None for token in tokens]
+    told = [float(one) for one in each if isinstance(one, (int, float)) and math.isfinite(one)]
+    return math.exp(min(sum(told), 0.0)) if len(told) == len(each) else None
 
 
 def _cost(value: object) -> float | None:

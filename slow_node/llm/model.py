@@ -47,11 +47,20 @@ class ChatModel:
     """Posts chats to `base_url`/chat/completions."""
 
     def __init__(
-        self, base_url: str, model: str, key: str, *, max_tokens: int = MAX_TOKENS, breaker: Breaker | None = None
+        self,
+        base_url: str,
+        model: str,
+        key: str,
+        *,
+        max_tokens: int = MAX_TOKENS,
+        breaker: Breaker | None = None,
+        odds: bool = False,
     ) -> None:
+        """odds: ask for the probabilities of the answer's tokens, which not every server has."""
         self._transport = Transport(base_url, key)
         self._key = key.strip()
         self.name, self.base_url, self.max_tokens = model, base_url, max_tokens
+        self._odds = odds
         ours = is_loopback(base_url) and not is_passed_on(model)
         self.price_usd: tuple[float, float] | None = PRICES_USD.get(model, (0.0, 0.0) if ours else None)
         """What a prompt's and an answer's token cost; None: nobody told us."""
@@ -129,7 +138,9 @@ class ChatModel:
         if schema is None:
             used = replace(used, format=TEXT)
         while True:
-            answer = await self._exchange(used, used.body(self.name, chat, schema, self.max_tokens), calls)
+            answer = await self._exchange(
+                used, used.body(self.name, chat, schema, self.max_tokens, odds=self._odds), calls
+            )
             if isinstance(answer, Answer):
                 learnt.took(sure, used if schema else replace(used, format=sure.format))
                 return answer

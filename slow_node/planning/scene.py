@@ -230,6 +230,24 @@ def describe(scene: Scene, delayed_by: str = "") -> str:
     return "; ".join(parts)
 
 
+def in_brief(scene: Scene) -> str:
+    """E_t in some twenty tokens: lane of how many (from the left, of our direction), speed and limit, the car ahead,
+    the oncoming one, which sides are free."""
+    own = scene.own_lanes
+    here = f"{own.index(scene.ego_lane) + 1}/{len(own)}" if scene.ego_lane in own else f"oncoming/{len(own)}"
+    parts = [f"lane {here}", f"{scene.speed_mps:.0f}/{scene.limit_mps:.0f} mps"]
+    if scene.lead is not None:
+        parts.append(f"ahead {scene.lead.gap_m:.0f} m {scene.lead.speed_mps:.0f}")
+    if math.isfinite(scene.oncoming_gap_m):
+        parts.append(f"oncoming {scene.oncoming_gap_m:.0f} m")
+    elif scene.two_way:
+        parts.append("two-way")
+    sides = [(name, scene.ego_lane + step) for name, step in (("left", -1), ("right", 1))]
+    free = [name for name, lane in sides if lane in scene.free_lanes and scene.lanes[lane].direction == 1]
+    parts.append(f"free {' '.join(free) or 'none'}")
+    return ", ".join(parts)
+
+
 def road_and_lead(described: str) -> str:
     """The first three parts of a description, enough for an example: road, speed, lead."""
     return "; ".join(described.split("; ")[:3])

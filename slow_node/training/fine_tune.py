@@ -1,12 +1,14 @@
-"""Fine-tune the embedded language model: a low-rank delta of SmolLM2 (LoRA, Hu et al. 2021) from generated commands.
+"""Fine-tune the embedded language model, SmolLM2, from pairs of P_t and program: LoRA (Hu et al. 2021).
 
-    python -m slow_node.training.fine_tune [--out FILE] [--size N] [--seed N]
+    python -m slow_node.training.programs --seed 1 --size 9000 > runs/pairs.jsonl
+    python -m slow_node.training.programs --held-out --seed 7 --size 600 > runs/held.jsonl
+    python -m slow_node.training.fine_tune --pairs runs/pairs.jsonl --held runs/held.jsonl --out runs/adapter.gguf
 
-One thread, an hour and a half: a pass over new commands, and another over others at half the rate. The weights are
-those of the package, taken out of their four bits; what is written is the adapter that llama.cpp loads beside them.
-The model learns to answer `prompt.adapted_prompt` with the JSON of the slots that were asked for, without their
-numbers, which rules read better. Needs `gguf` (extra `train`). The network is our own because what turns an adapter of
-transformers and peft into llama.cpp's is a script that no package has.
+One thread; some three pairs in a second of a core's time. Stopped at any moment, the same command goes on from its
+last checkpoint (`OUT.checkpoint`). The weights are those of the package, taken out of their four bits; what is written
+is the adapter that llama.cpp loads beside them. It begins with the adapter that is shipped. Needs `gguf` (extra
+`train`). The network is our own because what turns an adapter of transformers and peft into llama.cpp's is a script
+that no package has.
 """
 
 from __future__ import annotations
@@ -18,6 +20,8 @@ import random
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -32,17 +36,16 @@ from tokenizers.pre_tokenizers import Sequence as Both
 from torch import Tensor, nn
 from torch.nn import functional
 
-from slow_node.evaluation.score import exam_texts, plain_text
-from slow_node.llm.embedded import ADAPTER, weights_path
-from slow_node.planning.prompt import adapted_prompt
-from slow_node.training.generate import slots_of
-from slow_node.training.generator import Generator
-from slow_node.training.stock import Sample, load_stock
-from slow_node.training.train import split
+from slow_node.llm.adapter import ADAPTER
+from slow_node.llm.dialect import Chat
+from slow_node.llm.embedded import weights_path
 
 RANK, ALPHA = 16, 32.0
 TARGETS = ("attn_q", "attn_k", "attn_v", "attn_output", "ffn_gate", "ffn_up", "ffn_down")
-BATCH, LEARNING_RATE, WARM_UP = 24, 1e-3, 40
+BATCH, LEARNING_RATE, WARM_UP = 16, 7e-4, 15
+SORTED = 16
+"""So many batches are made of like lengths together."""
+CHECKED = 96
 START, END = "<|im_start|>", "<|im_end|>"
 
 
@@ -128,30 +131,41 @@ class Llama(nn.Module):
         return functional.linear(y, w.get("output.weight", w["token_embd.weight"])).float()
 
 
-def answer_of(label: dict[str, str]) -> str:
-    """What the model is to say: the slots that were asked for, without numbers."""
-    return slots_of(label).compact()
-
-
-def rendered(text: str) -> str:
-    """The chat as SmolLM2's template writes it, up to where the answer begins."""
-    turns = "".join(f"{START}{turn['role']}\n{turn['content']}{END}\n" for turn in adapted_prompt(text))
+def rendered(chat: Chat) -> str:
+    """A chat as SmolLM2's template writes it, up to where the answer begins."""
+    turns = "".join(f"{START}{turn['role']}\n{turn['content']}{END}\n" for turn in chat)
     return f"{turns}{START}assistant\n"
 
 
-def batches(samples: list[Sample], tokenizer: Tokenizer, r: random.Random) -> Iterator[tuple[Tensor, Tensor]]:
-    """(B, T) ids and where the answers are, of chats of like length, in random order."""
-    prompts = tokenizer.encode_batch([rendered(s.text) for s in samples], add_special_tokens=False)
-    answers = tokenizer.encode_batch([answer_of(s.label) + END for s in samples], add_special_tokens=False)
-    chats = sorted(((p.ids, a.ids) for p, a in zip(prompts, answers, strict=True)), key=lambda c: len(c[0]) + len(c[1]))
-    chunks = [chats[i : i + BATCH] for i in range(0, len(chats), BATCH)]
-    r.shuffle(chunks)
-    for chunk in chunks:
-        ids = nn.utils.rnn.pad_sequence([torch.tensor(p + a) for p, a in chunk], batch_first=True)
-        place = torch.arange(ids.shape[1])
-        first = torch.tensor([len(p) for p, _ in chunk])[:, None]
-        last = torch.tensor([len(p) + len(a) for p, a in chunk])[:, None]
-        yield ids, (place >= first) & (place < last)
+def read_pairs(path: Path, size: int | None = None) -> list[tuple[Chat, str]]:
+    """The chats and answers of a file of `slow_node.training.programs`."""
+    with path.open(encoding="utf-8") as file:
+        rows = (json.loads(line) for line in islice(file, size))
+        return [(row["chat"], row["answer"]) for row in rows]
+
+
+def batches(
+    pairs: list[tuple[Chat, str]], tokenizer: Tokenizer, seed: int, skip: int = 0
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """(B, T) ids and where the answers are, of chats of like length; without the first `skip` batches."""
+    for number, begin in enumerate(range(0, len(pairs), BATCH * SORTED)):
+        part = pairs[begin : begin + BATCH * SORTED]
+        first = number * SORTED
+        if first + math.ceil(len(part) / BATCH) <= skip:
+            continue
+        prompts = tokenizer.encode_batch([rendered(chat) for chat, _ in part], add_special_tokens=False)
+        answers = tokenizer.encode_batch([answer + END for _, answer in part], add_special_tokens=False)
+        chats = sorted(
+            ((p.ids, a.ids) for p, a in zip(prompts, answers, strict=True)), key=lambda c: len(c[0]) + len(c[1])
+        )
+        chunks = [chats[i : i + BATCH] for i in range(0, len(chats), BATCH)]
+        random.Random(seed + number).shuffle(chunks)
+        for chunk in chunks[max(skip - first, 0) :]:
+            ids = nn.utils.rnn.pad_sequence([torch.tensor(p + a) for p, a in chunk], batch_first=True)
+            place = torch.arange(ids.shape[1])
+            begins = torch.tensor([len(p) for p, _ in chunk])[:, None]
+            ends = torch.tensor([len(p) + len(a) for p, a in chunk])[:, None]
+            yield ids, (place >= begins) & (place < ends)
 
 
 def loss_of(model: Llama, ids: Tensor, answer: Tensor) -> Tensor:
@@ -183,72 +197,84 @@ def restore(model: Llama, path: Path) -> None:
             model.delta[f"{name}/{part}".replace(".", "/")].copy_(torch.from_numpy(np.array(tensor.data, np.float32)))
 
 
-def train(out: Path, size: int, seed: int, before: Path | None = None) -> None:
-    """One pass over `size` generated commands; writes the adapter and prints the loss as it goes.
+@dataclass
+class Run:
+    """A training that can be stopped at any moment and gone on with."""
 
-    before: go on from this adapter, at half the rate.
-    """
+    model: Llama
+    optimiser: torch.optim.AdamW
+    path: Path
+    """Of the checkpoint."""
+    step: int = 0
+
+    def save(self) -> None:
+        state = {"step": self.step, "delta": self.model.delta.state_dict(), "optimiser": self.optimiser.state_dict()}
+        torch.save(state, self.path.with_suffix(".part"))
+        self.path.with_suffix(".part").replace(self.path)
+
+    def resume(self) -> None:
+        if self.path.exists():
+            state = torch.load(self.path)
+            self.model.delta.load_state_dict(state["delta"])
+            self.optimiser.load_state_dict(state["optimiser"])
+            self.step = state["step"]
+
+
+def rate_at(step: int, steps: int) -> float:
+    """Of the highest: up at the beginning, down over the last third."""
+    return min(1.0, step / WARM_UP, max(3.0 * (steps - step) / steps, 0.02))
+
+
+def train(pairs_path: Path, held_path: Path, out: Path, seed: int, before: Path | None, size: int | None) -> None:
+    """One pass over the pairs; writes the adapter and prints the loss as it goes."""
     torch.set_num_threads(1)
     torch.manual_seed(seed)
-    r = random.Random(seed)
     reader = gguf.GGUFReader(weights_path())
     model, tokenizer = Llama(reader), tokenizer_of(reader)
     if before:
         restore(model, before)
-    exam = exam_texts()
-    stock, held = split(load_stock())
-    samples = [s for s in Generator(stock, seed).samples(3 * size) if plain_text(s.text) not in exam]
-    samples = r.sample(samples, min(size, len(samples)))
-    check = list(batches(Generator(held, seed).samples(1000)[:240], tokenizer, r))
-    highest = LEARNING_RATE * (0.5 if before else 1.0)
-    optimiser = torch.optim.AdamW(model.delta.parameters(), lr=highest, weight_decay=0.01)
-    steps, began, losses = math.ceil(len(samples) / BATCH), time.monotonic(), []
-    for step, (ids, answer) in enumerate(batches(samples, tokenizer, r), 1):
-        rate = highest * min(1.0, step / WARM_UP) * 0.5 * (1 + math.cos(math.pi * step / steps))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    optimiser = torch.optim.AdamW(model.delta.parameters(), lr=LEARNING_RATE, weight_decay=0.01)
+    run = Run(model, optimiser, out.with_suffix(".checkpoint"))
+    run.resume()
+    pairs = read_pairs(pairs_path, size)
+    check = list(batches(read_pairs(held_path, CHECKED), tokenizer, seed))
+    steps, began, first, losses, held_out = math.ceil(len(pairs) / BATCH), time.monotonic(), run.step, [], math.nan
+    for ids, answer in batches(pairs, tokenizer, seed, run.step):
+        run.step += 1
         for group in optimiser.param_groups:
-            group["lr"] = rate
+            group["lr"] = LEARNING_RATE * rate_at(run.step, steps)
         loss = loss_of(model, ids, answer)
         optimiser.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(model.delta.parameters(), 1.0)
         optimiser.step()
         losses.append(float(loss.detach()))
-        if step % 10 == 0 or step == steps:
-            left = (time.monotonic() - began) / step * (steps - step) / 60
-            recent = sum(losses[-10:]) / 10
-            print(f"{step}/{steps} loss {recent:.3f}, {left:.0f} min left", file=sys.stderr, flush=True)
-        if step % 200 == 0 or step == steps:
+        if run.step % 10 == 0 or run.step == steps:
+            left = (time.monotonic() - began) / (run.step - first) * (steps - run.step) / 60
+            recent = sum(losses[-10:]) / len(losses[-10:])
+            print(f"{run.step}/{steps} loss {recent:.3f}, {left:.0f} min left", file=sys.stderr, flush=True)
+            run.save()
+        if run.step % 60 == 0 or run.step == steps:
             with torch.no_grad():
                 held_out = sum(float(loss_of(model, *pair)) for pair in check) / len(check)
             print(f"held-out loss {held_out:.3f}", file=sys.stderr, flush=True)
             save(model, out)
-    out.with_suffix(".json").write_text(
-        json.dumps(
-            {
-                "base": weights_path().name,
-                "rank": RANK,
-                "alpha": ALPHA,
-                "commands": len(samples),
-                "seed": seed,
-                "second_pass": before is not None,
-                "held_out_loss": round(held_out, 4),
-            },
-            indent=1,
-        )
-        + "\n"
-    )
+            about = {"base": weights_path().name, "answers": "programs", "rank": RANK, "alpha": ALPHA, "seed": seed}
+            about |= {"pairs": run.step * BATCH, "of": len(pairs), "held_out_loss": round(held_out, 4)}
+            out.with_suffix(".json").write_text(json.dumps(about, indent=1) + "\n")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=ADAPTER)
-    parser.add_argument(
-        "--size", type=int, default=13_000, help="commands of the first pass; the second has two thirds of that"
-    )
+    parser.add_argument("--pairs", type=Path, required=True, help="what to train on")
+    parser.add_argument("--held", type=Path, required=True, help="what to tell the held-out loss by")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--before", type=Path, default=ADAPTER, help="the adapter to begin with")
+    parser.add_argument("--size", type=int, default=None, help="of the pairs, the first so many only")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    train(options.out, options.size, options.seed)
-    train(options.out, 2 * options.size // 3, options.seed + 1, options.out)
+    train(options.pairs, options.held, options.out, options.seed, options.before, options.size)
 
 
 if __name__ == "__main__":

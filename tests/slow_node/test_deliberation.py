@@ -134,7 +134,7 @@ def test_a_new_command_is_interpreted_with_what_is_being_delayed() -> None:
     ride = riding(HURRY, 1, (1, 40.0, 10.0))
     ride.tell("delayed", "rear gap in lane")
     call = next(e for e in ride.hear() if isinstance(e, Interpret))
-    assert (call.delayed, call.delayed_by) == ("overtake", "rear gap in lane")
+    assert (call.context.delayed, call.context.delayed_by) == ("overtake", "rear gap in lane")
 
 
 def test_a_hurry_passes_the_second_slow_car_too_and_ends_on_its_own_side() -> None:

@@ -56,6 +56,7 @@ export class Talk {
     const small = make("small", {}, make("span", { className: "tag", textContent: note.waits_for ? "waiting" : note.outcome, data: { is: note.waits_for ? "waiting" : BAD.includes(note.outcome) ? "failed" : note.outcome === "fulfilled" ? "fulfilled" : "policy" } }));
     if (command) small.append(`${Math.max(note.t - command.t, 0).toFixed(1)} s later `);
     if (note.why) small.append(`· ${note.why} `);
+    if (note.verdict) small.append(make("span", { className: "tag", textContent: `language model: ${note.verdict}`, data: { is: note.verdict === "overruled" || note.verdict === "withdrew" ? "failed" : "policy" } }), " ");
     const link = make("button", { type: "button", textContent: "thought", hidden: !document.getElementById(`thought-${note.command_id}`) });
     link.dataset.thought = note.command_id;
     link.addEventListener("click", () => this.openThought(note.command_id));
@@ -90,7 +91,7 @@ function wording(note) {
   const list = (...parts) => parts.filter(Boolean).join(" · ");
   switch (note.kind) {
     case "command": return ["said", `“${note.text}” (${note.source})`];
-    case "reply": return [note.outcome, list(note.say, note.why)];
+    case "reply": return [note.outcome, list(note.say, note.why, note.verdict && `language model: ${note.verdict}`)];
     case "directive": return ["directive", list(note.manoeuvre, note.target_lane !== undefined ? `lane ${note.target_lane}` : "", note.target_speed_mps !== undefined ? `${note.target_speed_mps.toFixed(1)} m/s` : "", note.headway_s !== undefined ? `${note.headway_s.toFixed(1)} s gap` : "", note.reasoning)];
     case "health": return [note.state, `process ${note.node}`];
     default: return [note.what, list(note.reason, car, note.duration_s ? `for ${note.duration_s.toFixed(1)} s` : "", note.detail)];
@@ -129,6 +130,7 @@ function thoughtOf(note, open) {
   const none = (words) => make("p", { className: "empty", textContent: words });
   const body = make("div", {});
   if (spans.length) body.append(section("Time", bar, legend));
+  if (note.again) body.append(section("Asked once more", pre(note.again)));
   if (note.reading) body.append(section("The intent parser understood", pre(note.reading)));
   if (note.recalled.length) {
     body.append(section("Recalled, with its similarity", ...note.recalled.map((m) => make("div", { className: "memory num" }, make("b", { textContent: m.similarity.toFixed(2) }), make("span", { textContent: `“${m.command}”` }), make("small", { textContent: [m.slots, m.outcome].filter(Boolean).join(" · ") })))));
@@ -140,5 +142,5 @@ function thoughtOf(note, open) {
   if (note.slots) body.append(section("Taken as", pre(note.slots)));
   return make("details", { className: "thought", id: `thought-${note.command_id}`, open },
     make("summary", {}, make("q", { textContent: note.command }), make("span", { className: "tag", textContent: note.outcome, data: { is: note.outcome === "issued" ? "fulfilled" : "failed" } }),
-      make("small", { className: "num", textContent: `${note.t.toFixed(1)} s · by ${note.source || "nobody"}${total ? ` · ${total.toFixed(0)} ms` : ""}${note.trimmed ? " · shortened" : ""}` })), body);
+      make("small", { className: "num", textContent: `${note.t.toFixed(1)} s · by ${note.source || "nobody"}${note.verdict ? ` · language model: ${note.verdict}` : ""}${total ? ` · ${total.toFixed(0)} ms` : ""}${note.trimmed ? " · shortened" : ""}` })), body);
 }

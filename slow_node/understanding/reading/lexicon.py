@@ -31,6 +31,8 @@ _WHO = {
     "car": r"cars?|vehicles?|taxi|auto|wagen|voiture|coche|macchina|carro|suv|limo|saloon|hatchback|estate|kombi|bmw|"
     r"audi|mercedes|volkswagen|golf|tesla|toyota|porsche|(?<=that )one|(?<=this )one|(?<=the )one|guy|driver",
 }
+OBJECTS = tuple(_WHO)
+"""Whom a step or a trigger may be about."""
 VULNERABLE = ("cyclist", "pedestrian", "motorcycle", "animal")
 _OBJECTS = re.compile("|".join(rf"(?P<{name}>(?<!\w)(?:{words})(?!\w))" for name, words in _WHO.items()))
 _SMALL_WORDS = ("a", "sei", "se", "une", "una", "uma", "eine", "einer", "set", *COMMON_WORDS)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import urllib.request
 from collections.abc import Iterator
 from typing import Any, cast
@@ -17,21 +16,15 @@ from deploy.run.model_server import embedded_server
 from deploy.run.processes import free_port
 from slow_node.config import TOKEN
 from slow_node.llm.embedded import weights_path
-from slow_node.planning.prompt import adapted_prompt
-from slow_node.training.fine_tune import END, Llama, answer_of, batches, loss_of, rendered, tokenizer_of
-from slow_node.training.stock import Sample
+from slow_node.planning.prompt import Asked, program_prompt
+from slow_node.training.fine_tune import END, Llama, batches, loss_of, rate_at, rendered, tokenizer_of
 
 TEXTS = ("I'm late, step on it!", "non, à 90 km/h", 'say "<|im_end|>" and go left', "快一点 2025")
-FASTER = {
-    "outcome": "directive",
-    "speed": "faster",
-    "lane": "none",
-    "gap": "none",
-    "overtake": "none",
-    "cancel": "false",
-    "number": "none",
-    "language": "en",
-}
+FASTER = '{"outcome":"directive","steps":[{"act":"faster"}]}'
+
+
+def chat(text: str) -> list[dict[str, str]]:
+    return program_prompt(Asked(text, "lane 2/4, 25/33 mps, free left", turns=("lane left",)))
 
 
 @pytest.fixture(scope="module")
@@ -57,14 +50,14 @@ def post(url: str, body: dict[str, Any]) -> Any:
 
 @pytest.mark.parametrize("text", TEXTS)
 def test_the_chat_that_is_learnt_from_is_the_one_that_the_engine_writes(text: str, server: str) -> None:
-    assert post(f"{server}/apply-template", {"messages": adapted_prompt(text)})["prompt"] == rendered(text)
+    assert post(f"{server}/apply-template", {"messages": chat(text)})["prompt"] == rendered(chat(text))
 
 
 @pytest.mark.parametrize("text", TEXTS)
 def test_its_tokens_are_the_engines(text: str, server: str, reader: Any) -> None:
-    chat = rendered(text) + answer_of(FASTER) + END
-    theirs = post(f"{server}/tokenize", {"content": chat, "add_special": True, "parse_special": True})["tokens"]
-    assert tokenizer_of(reader).encode(chat, add_special_tokens=False).ids == theirs
+    whole = rendered(chat(text)) + FASTER + END
+    theirs = post(f"{server}/tokenize", {"content": whole, "add_special": True, "parse_special": True})["tokens"]
+    assert tokenizer_of(reader).encode(whole, add_special_tokens=False).ids == theirs
 
 
 def test_before_it_has_learnt_anything_it_is_the_model_of_the_package(reader: Any) -> None:
@@ -76,10 +69,10 @@ def test_before_it_has_learnt_anything_it_is_the_model_of_the_package(reader: An
 
 
 def test_only_the_tokens_of_the_answer_count_and_each_is_told_from_those_before_it(reader: Any) -> None:
-    samples = [Sample(text, "en", FASTER) for text in ("go faster", "please go a good deal faster than now")]
-    [(ids, answer)] = batches(samples, tokenizer_of(reader), random.Random(0))
+    pairs = [(chat(text), FASTER) for text in ("go faster", "please go a good deal faster than now")]
+    [(ids, answer)] = batches(pairs, tokenizer_of(reader), 0)
     said = [tokenizer_of(reader).decode(row[mask].tolist()) for row, mask in zip(ids, answer, strict=True)]
-    assert said == ['{"outcome":"directive","speed":"faster"}'] * 2
+    assert said == [FASTER] * 2
 
     def knows_what_follows(seen: Any, wanted: Any) -> Any:
         assert torch.equal(seen, ids[:, :-1])
@@ -88,5 +81,14 @@ def test_only_the_tokens_of_the_answer_count_and_each_is_told_from_those_before_
     assert float(loss_of(cast(Llama, knows_what_follows), ids, answer)) == pytest.approx(0.0)
 
 
-def test_numbers_are_left_to_the_rules() -> None:
-    assert answer_of({**FASTER, "speed": "none", "number": "speed"}) == '{"outcome":"directive"}'
+def test_a_training_that_was_stopped_goes_on_with_the_batches_it_has_not_seen(reader: Any) -> None:
+    pairs = [(chat(f"go faster {n}"), FASTER) for n in range(400)]
+    tokenizer = tokenizer_of(reader)
+    whole = [ids.tolist() for ids, _ in batches(pairs, tokenizer, 0)]
+    assert [ids.tolist() for ids, _ in batches(pairs, tokenizer, 0, skip=18)] == whole[18:]
+
+
+def test_the_rate_rises_and_falls_and_never_is_nothing() -> None:
+    rates = [rate_at(step, 100) for step in range(1, 101)]
+    assert max(rates) == 1.0
+    assert 0.0 < rates[-1] < rates[0] < 0.1

@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 import urllib.request
+from itertools import islice
 from pathlib import Path
 from types import ModuleType
 
@@ -15,8 +16,11 @@ import pytest
 from safetensors.numpy import load_file
 
 from deploy.run.processes import free_port
+from schemas.wire.text import json_line
 from slow_node.llm.embedding import DELTA, WEIGHTS_PACKAGE, load_embedder, package_file
+from slow_node.planning.prompt import program_prompt
 from slow_node.training.generator import Generator
+from slow_node.training.programs import Programs
 from slow_node.training.stock import Sample, Stock, load_stock
 from slow_node.understanding.intent_parser import IntentParser
 from tests.waiting import until
@@ -111,12 +115,14 @@ def test_the_adapter_learns_and_the_engine_answers_with_what_was_written(
     stock: Stock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trainer = pytest.importorskip("slow_node.training.fine_tune", exc_type=ImportError)
-    shrunk(trainer, stock, monkeypatch)
-    out = tmp_path / "adapter.gguf"
-    trainer.train(out, 8, 0)
+    monkeypatch.setattr(trainer, "BATCH", 4)
+    out, pairs = tmp_path / "adapter.gguf", tmp_path / "pairs.jsonl"
+    made = islice(Programs(stock, 0, None, None).pairs(), 8)
+    pairs.write_text("".join(json_line({"chat": program_prompt(p.asked), "answer": p.text}) + "\n" for p in made))
+    trainer.train(pairs, pairs, out, 0, None, None)
     learnt = {t.name: np.array(t.data) for t in trainer.gguf.GGUFReader(out).tensors}
     assert all(value.any() for name, value in learnt.items() if name.endswith(".lora_b"))  # they begin at zero
-    assert json.loads(out.with_suffix(".json").read_text())["commands"] == 8
+    assert json.loads(out.with_suffix(".json").read_text())["pairs"] == 8
     config = json.dumps({"port": (port := free_port()), "polite": False})
     server = subprocess.Popen([sys.executable, "-c", SERVE, str(out), config], stderr=subprocess.DEVNULL)
     try:
