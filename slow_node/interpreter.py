@@ -92,6 +92,8 @@ class Interpretation:
     """What the model's answer did to the reader's."""
     confidence: float = 0.0
     """Of the reader's reading."""
+    model_confidence: float = 0.0
+    """Of the model's answer, as far as it is trusted."""
 
     @property
     def model_decided(self) -> bool:
@@ -133,8 +135,11 @@ class Interpreter:
         budget_s: float,
         ask: Ask,
         trust: float = ENDPOINT_TRUST,
+        scene: bool = True,
     ) -> None:
-        """trust: what the model's own probability of its answer is worth; of one that tells none, its probability."""
+        """trust: what the model's own probability of its answer is worth; of one that tells none, its probability.
+        scene: whether the model is told of it."""
+        self._shows_scene = scene
         self._memory, self._model, self._parser = memory, model, parser
         self._style, self._k, self._budget_s, self._mode, self._trust = style, k, budget_s, ask, trust
         self.model_name = model.name
@@ -216,7 +221,13 @@ class Interpreter:
     ) -> Interpretation:
         """The reader's word or the model's."""
         told = Interpretation(
-            said.slots, said.why, source=self._model.name, nearest=nearest, program=said.program, verdict="decided"
+            said.slots,
+            said.why,
+            source=self._model.name,
+            nearest=nearest,
+            program=said.program,
+            verdict="decided",
+            model_confidence=said.confidence,
         )
         if first is None or first.slots is None:
             return told
@@ -227,7 +238,7 @@ class Interpreter:
             return replace(told, verdict="withdrew" if acted else "decided")
         verdict, why = weighed(said, first.slots, first.confidence, sure=sure, acted=acted)
         if verdict in ("confirmed", "overruled"):
-            return replace(first, verdict=verdict, why=first.why or why)
+            return replace(first, verdict=verdict, why=first.why or why, model_confidence=said.confidence)
         return replace(told, verdict=verdict)
 
     def _parse(self, command: str, scene: Scene, trace: Trace) -> tuple[_Read | None, tuple[Example, ...]]:
@@ -262,7 +273,7 @@ class Interpreter:
                 trace.prompt = program_prompt(
                     Asked(
                         command,
-                        in_brief(scene),
+                        in_brief(scene) if self._shows_scene else "",
                         context.turns,
                         context.wishes,
                         context.again,
@@ -277,7 +288,7 @@ class Interpreter:
                 slots = _parsed(trace, await self._answer(trace, trace.prompt, due), _numbers(command))
                 return self._said_slots(command, slots, read, nearest, trace)
             hint = read.program if read is not None else None
-            text = _told(describe(scene, context.delayed_by), context)
+            text = _told(describe(scene, context.delayed_by) if self._shows_scene else "not told", context)
             trace.prompt = build_prompt(
                 command, text, nearest, self._schema, short=self._style == "short", turns=context.turns, hint=hint
             )

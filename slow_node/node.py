@@ -246,8 +246,13 @@ def build(bus: Bus, config: SlowConfig) -> tuple[SlowNode, Memory]:
     return SlowNode(bus, memory, model, interpreter, config.budget_s, config.thoughts_path, config.wishes_path), memory
 
 
-def build_interpreter(config: SlowConfig) -> tuple[Interpreter, Memory, ChatModel]:
-    """What interprets commands, without the bus: the caller closes the memory and the model."""
+def build_interpreter(
+    config: SlowConfig, *, scene: bool = True, chat_model: Callable[..., ChatModel] = ChatModel
+) -> tuple[Interpreter, Memory, ChatModel]:
+    """What interprets commands, without the bus: the caller closes the memory and the model.
+
+    scene: whether the model is told of it. chat_model: makes the client of the model's server.
+    """
     embedder = load_embedder()
     memory = Memory(embedder, config.memory_path, EXAMPLES if config.shipped_examples else None)
     key = os.environ.get(TOKEN if config.embedded else config.api_key_env, "")
@@ -255,7 +260,7 @@ def build_interpreter(config: SlowConfig) -> tuple[Interpreter, Memory, ChatMode
         log(NAME, "key", f"{config.api_key_env} is not set; calling {config.base_url} without a key")
     most = config.max_tokens or (MAX_TOKENS_SHORT if config.embedded else MAX_TOKENS)
     adapted = config.embedded and config.adapter
-    model = ChatModel(config.base_url, config.model, key, max_tokens=most, odds=adapted)
+    model = chat_model(config.base_url, config.model, key, max_tokens=most, odds=adapted)
     ask = config.ask if config.ask != "auto" else "unsure" if config.embedded and not adapted else "always"
     parser = IntentParser.load(embedder) if config.parser else None
     reader = ProgramReader(parser) if parser is not None else None
@@ -263,7 +268,7 @@ def build_interpreter(config: SlowConfig) -> tuple[Interpreter, Memory, ChatMode
     style: Style = "full" if not config.embedded else "short" if learnt is None else learnt.answers
     trust = ENDPOINT_TRUST if not config.embedded else SURE if learnt is None else learnt.trust
     interpreter = Interpreter(
-        memory, model, reader, style=style, k=config.k, budget_s=config.budget_s, ask=ask, trust=trust
+        memory, model, reader, style=style, k=config.k, budget_s=config.budget_s, ask=ask, trust=trust, scene=scene
     )
     return interpreter, memory, model
 

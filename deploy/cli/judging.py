@@ -247,7 +247,9 @@ def interpret(
     ] = "dev",
     experiment: Annotated[
         str | None,
-        typer.Option(help="memory: the model with 0, 2, 4 recalled examples; chatter: dev within unrelated talk."),
+        typer.Option(
+            help="memory: the model with 0, 2, 4 recalled examples; mind: reader, model, both; chatter: within talk."
+        ),
     ] = None,
     half: Annotated[str, typer.Option(help="Of the talk: measure, or develop, which is for choosing by.")] = "measure",
     per_kind: Annotated[
@@ -283,8 +285,12 @@ def interpret(
     if experiment is not None:
         if experiment == "memory":
             raise typer.Exit(memory_experiment(as_json=as_json, per_kind=per_kind, threads=threads))
+        if experiment == "mind":
+            from deploy.lab.interpret_mind import mind_experiment
+
+            raise typer.Exit(mind_experiment(Path("runs/mind"), as_json=as_json, per_kind=per_kind, threads=threads))
         if experiment != "chatter":
-            raise typer.BadParameter(f"{experiment}: choose from memory, chatter", param_hint="'--experiment'")
+            raise typer.BadParameter(f"{experiment}: choose from memory, mind, chatter", param_hint="'--experiment'")
         if half not in get_args(Half):
             raise typer.BadParameter(f"{half}: choose from {', '.join(get_args(Half))}", param_hint="'--half'")
         raise typer.Exit(chatter_experiment(cast(Half, half), as_json=as_json, per_kind=per_kind, **told))

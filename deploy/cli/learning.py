@@ -134,7 +134,7 @@ def train(
 
 @commands.command(
     epilog="Examples:\n\n  fastslow study\n\n  fastslow study --quick --json\n\n"
-    "  fastslow study --tune --out runs/search\n\n" + EXITS
+    "  fastslow study --tune --out runs/search\n\n  fastslow study --mind --out runs/mind\n\n" + EXITS
 )
 def study(
     out: Annotated[
@@ -171,6 +171,14 @@ def study(
     tune: Annotated[
         bool, typer.Option("--tune", help="Try other settings of the baselines instead, on seeds of their own.")
     ] = False,
+    mind: Annotated[
+        bool,
+        typer.Option(
+            "--mind",
+            help="Drive with directives from reader, embedded model, both, an endpoint (if set) and none, at added "
+            "delays, with model, scene and memory switched off in turn; --quick: a few of them.",
+        ),
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Compare our learner with PPO, DQN and A2C over several seeds; run again to go on."""
@@ -180,6 +188,12 @@ def study(
         from deploy.lab.study.matrix import run_search, run_study
         from fast_node.policies.mlp import BASELINES, VARIANTS
 
+        if mind:
+            from deploy.lab.study.mind import SEEDS, run_mind_study
+
+            if tune or algorithm or variant or scenario:
+                raise ValueError("--mind takes --out, --seeds, --quick and --json: leave the others out")
+            raise typer.Exit(run_mind_study(out, seeds=seeds or SEEDS, quick=quick, as_json=as_json))
         if tune and quick:
             raise ValueError("--tune and --quick are two things: leave one out")
         if tune:

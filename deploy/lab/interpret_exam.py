@@ -92,7 +92,7 @@ async def _held(interpreter: Interpreter, dialogue: dict[str, Any]) -> list[dict
         command = Command(epoch=scene.epoch, stamp_ns=now_ns, id=number + 1, text=turn["say"])
         heard = deliberation.on_command(command, now_ns)
         call = next(effect for effect in heard if isinstance(effect, Interpret))
-        found = await interpreter.interpret(call.command, call.scene, call.delayed, call.delayed_by)
+        found = await interpreter.interpret(call.command, call.scene, call.context)
         out = list(deliberation.on_interpretation(call.id, found, now_ns))
         mine = [e for e in out if isinstance(e, Reply) and e.command_id == command.id]
         directive = next((e for e in reversed(out) if isinstance(e, Directive)), None)

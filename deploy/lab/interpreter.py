@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Literal
 
 from deploy.run.launch import Launched
@@ -14,6 +14,7 @@ from deploy.run.model_server import embedded_server
 from deploy.run.processes import ModelOptions
 from slow_node.config import SlowConfig
 from slow_node.interpreter import Interpreter
+from slow_node.llm.model import ChatModel
 from slow_node.node import build_interpreter
 
 Ask = Literal["auto", "always", "unsure", "never"]
@@ -31,8 +32,13 @@ def running_interpreter(
     adapter: bool = True,
     memory_path: str = "",
     model: ModelOptions | None = None,
+    scene: bool = True,
+    chat_model: Callable[..., ChatModel] = ChatModel,
 ) -> Iterator[Interpreter]:
-    """An interpreter and, where it may ask it, the embedded model's process. Raises `ConfigError`."""
+    """An interpreter and, where it may ask it, the embedded model's process. Raises `ConfigError`.
+
+    scene: whether the model is told of it. chat_model: makes the client of the model's server.
+    """
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that the model ends with us
     chosen = choose_model(model)
     if not chosen.embedded and ask != "never":
@@ -57,7 +63,9 @@ def running_interpreter(
                 parser=parser,
                 shipped_examples=not empty_bank,
                 adapter=adapter and not chosen.weights,
-            )
+            ),
+            scene=scene,
+            chat_model=chat_model,
         )
         try:
             yield interpreter

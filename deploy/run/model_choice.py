@@ -35,7 +35,7 @@ def choose_model(options: ModelOptions | None = None) -> Model:
     """
     options = options or ModelOptions()
     try:
-        base_url = _base_url(options)
+        base_url = "" if options.embedded else _base_url(options)
         key = checked_key(os.environ.get(KEY, ""), KEY)
         name = checked_model(options.name or "", "--model") or checked_model(os.environ.get(MODEL, ""), MODEL)
     except ValueError as error:

@@ -93,6 +93,8 @@ class ModelOptions:
     base_url: str | None = None
     budget_s: float | None = None
     max_tokens: int | None = None
+    embedded: bool = False
+    """The embedded model, whatever endpoint the environment names."""
 
 
 @dataclass(frozen=True, kw_only=True)
