@@ -32,12 +32,12 @@ class CachedModel(ChatModel):
             mine: list[Call] = []
             text = await super().complete(chat, schema, budget_s, mine)
             answer = mine[-1].answer
-            row = {"key": key, "text": text, "probability": answer.probability if answer else None}
+            row: dict[str, Any] = {"key": key, "text": text, "probability": answer.probability if answer else None}
             self._path.parent.mkdir(parents=True, exist_ok=True)
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json_line(row) + "\n")
             self._known[key] = row
-        row = self._known[key]
+        kept = self._known[key]
         if calls is not None:
-            calls.append(Call(0.0, 0.0, "json_schema", Answer(row["text"], probability=row["probability"])))
-        return str(row["text"])
+            calls.append(Call(0.0, 0.0, "json_schema", Answer(kept["text"], probability=kept["probability"])))
+        return str(kept["text"])

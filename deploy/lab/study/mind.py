@@ -131,11 +131,12 @@ def _driven(
 ) -> Iterator[dict[str, Any]]:
     """The episodes of one row. driven: those that are known, by plan."""
     policy = load_policy()
-    options: dict[str, Any] = {
+    ways: dict[str, dict[str, Any]] = {
         "none": {"ask": "never"},
         "reader": {"ask": "never"},
         "model": {"ask": "always", "parser": False},
-    }.get(condition.driver, {"ask": "always"})
+    }
+    options = dict(ways.get(condition.driver, {"ask": "always"}))
     if condition.without == "memory":
         options |= {"k": 0, "empty_bank": True}
     if condition.driver != "endpoint":
