@@ -71,6 +71,17 @@ def drive(programs: Path, folder: Path) -> None:
         sys.exit(f"that was no drive: {json.dumps(summary, indent=2)}")
 
 
+def make_environments(programs: Path, folder: Path) -> None:
+    """Gymnasium finds ours, alone and many at once, without the packages that learn."""
+    code = (
+        "import gymnasium, sys; name = 'fastslow:fastslow/Highway-v0';"
+        "print(gymnasium.make(name).reset(seed=0)[0].shape);"
+        "print(gymnasium.make_vec(name, num_envs=2).reset(seed=0)[0].shape);"
+        "assert 'torch' not in sys.modules"
+    )
+    print(run(programs / "python", "-P", "-c", code, folder=folder).strip())
+
+
 def megabytes(path: Path) -> float:
     files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file() and not file.is_symlink()]
     return sum(file.stat().st_size for file in files) / 1e6
@@ -81,7 +92,8 @@ def main() -> None:
         folder = Path(name)
         wheel = build(folder)
         programs = install(wheel, folder)
-        drive(programs, project(folder))
+        drive(programs, mine := project(folder))
+        make_environments(programs, mine)
         print(f"wheel {megabytes(wheel):.1f} MB, environment {megabytes(folder / 'env'):.0f} MB")
 
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import gymnasium
@@ -95,27 +94,30 @@ def _makers(envs: int, decision_hz: int) -> dict[str, Callable[[], Many]]:
 VARIANTS = ("vector", "vector bare", "sync", "async", "stock sync", "stock async", "parallel")
 
 
-@dataclass
 class _Account:
-    per_s: list[float] = field(default_factory=list)
-    per_cpu_s: list[float] = field(default_factory=list)
+    """A variant, the processes that it has started, and its rates turn by turn."""
 
-    def take_turn(self, many: Many, seconds: float) -> None:
+    def __init__(self, make: Callable[[], Many]) -> None:
+        before = set(psutil.Process().children(recursive=True))
+        self.many = make()
+        self.many.step()  # compiles, and fills caches
+        self._workers = [p for p in psutil.Process().children(recursive=True) if p not in before]
+        self.per_s: list[float] = []
+        self.per_cpu_s: list[float] = []
+
+    def take_turn(self, seconds: float) -> None:
         """Decide for so many seconds of all cores' time."""
-        before, began, steps, used = _cpu_s(), time.perf_counter(), 0, 0.0
+        before, began, steps, used = self._cpu_s(), time.perf_counter(), 0, 0.0
         while used < seconds:
-            many.step()
+            self.many.step()
             steps += 1
-            used = _cpu_s() - before
-        self.per_s.append(steps * many.size / (time.perf_counter() - began))
-        self.per_cpu_s.append(steps * many.size / used)
+            used = self._cpu_s() - before
+        self.per_s.append(steps * self.many.size / (time.perf_counter() - began))
+        self.per_cpu_s.append(steps * self.many.size / used)
 
-
-def _cpu_s() -> float:
-    """Of this process and of those that it has started."""
-    me = psutil.Process()
-    times = [process.cpu_times() for process in (me, *me.children(recursive=True))]
-    return sum(t.user + t.system for t in times)
+    def _cpu_s(self) -> float:
+        workers = (worker.cpu_times() for worker in self._workers)
+        return time.process_time() + sum(t.user + t.system for t in workers)
 
 
 def bench_gym(
@@ -139,20 +141,18 @@ def bench_gym(
     if decision_hz < 1 or TICK_HZ % decision_hz:
         raise ValueError(f"decision_hz {decision_hz} does not divide {TICK_HZ}")
     makers = _makers(envs, decision_hz)
-    running: dict[str, Many] = {}
-    accounts = {name: _Account() for name in chosen}
+    accounts: dict[str, _Account] = {}
     try:
         for name in chosen:
             progress(f"starting {name}")
-            running[name] = makers[name]()
-            running[name].step()  # compiles, and fills caches
+            accounts[name] = _Account(makers[name])
         for turn in range(turns):
             progress(f"turn {turn + 1} of {turns}")
-            for name in chosen:
-                accounts[name].take_turn(running[name], seconds)
+            for account in accounts.values():
+                account.take_turn(seconds)
     finally:
-        for many in running.values():
-            many.close()
+        for account in accounts.values():
+            account.many.close()
     first = accounts[chosen[0]]
     return {
         "schema": SCHEMA,
