@@ -85,6 +85,10 @@ class EgoVehicle(Vehicle):  # type: ignore[misc]
         """Move for `dt` s; a lane change that has arrived is over."""
         before = float(self.speed)
         super().step(dt)
+        self.arrive(before, dt)
+
+    def arrive(self, before: float, dt: float) -> None:
+        """What is known after a tick of `dt` s that began at speed `before` [m/s]."""
         self.acceleration = (float(self.speed) - before) / dt
         if self.previous_lane >= 0 and executor.change_finished(float(self.position[1]), self.lane_ahead()[0]):
             self.previous_lane = -1

@@ -18,7 +18,7 @@ from schemas.driving.episode import Decision, Ending, closeness, ending, flags, 
 from schemas.driving.features import BOUND, FEATURES, N_ROWS, features
 from schemas.driving.intent import ANY_LANE, Intent
 from schemas.driving.road import HZ, X
-from schemas.wire.messages import POLICY_ACTIONS, Lane, Observation
+from schemas.wire.messages import POLICY_ACTIONS, Lane, MetaAction, Observation
 from sim_node import actuator, executor
 from sim_node.drawing import picture
 from sim_node.ego import EgoVehicle
@@ -47,6 +47,9 @@ HONOURED = (
     "real_time_rendering",
 )
 """What of highway-env's `config` means something here; the rest are arguments of their own, or of no use."""
+
+
+_EXECUTED = spaces.Discrete(len(MetaAction))
 
 
 class _Features(ObservationType):  # type: ignore[misc]
@@ -214,8 +217,8 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
 
     def step(self, action: int) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One decision: the action at its first tick, then what was done there holds; the guard watches every tick."""
-        if not self.action_space.contains(action):
-            raise ValueError(f"action {action!r} is not one of 0..{POLICY_ACTIONS - 1}, a whole number")
+        if not _EXECUTED.contains(action):
+            raise ValueError(f"action {action!r} is not one of 0..{POLICY_ACTIONS - 1}, or {POLICY_ACTIONS} to brake")
         ego = self.ego
         decision = Decision(np.array([int(action)]), self.rows()[:1, X], np.array([ego.acceleration]))
         doing = int(action)

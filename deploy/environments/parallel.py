@@ -1,7 +1,7 @@
 """Several cars on one road, each with its own directive, by PettingZoo's parallel API.
 
-The cars are egos of one `RoadWorld`: mask, intent, features and reward of each are those of training. The kernel knows
-one ego a road, so highway-env's own code ticks this one, slower (`fastslow bench gym` has the rates).
+The cars are egos of one `RoadWorld`, which the engine ticks: mask, intent, features and reward of each are those of
+training.
 """
 
 from __future__ import annotations

@@ -19,7 +19,6 @@ from sim_node.ego import EgoVehicle
 from sim_node.engine.batched import Batched
 from sim_node.engine.kernel.layout import ABSENT_X_M
 from sim_node.env import ScenarioEnv
-from sim_node.road import has_left
 from sim_node.scenarios import Scenario
 from sim_node.scenarios.scenario import streams
 
@@ -47,7 +46,7 @@ class BatchedWorld(Batched):
 class RoadWorld:
     """One road. Its scenes are its egos: each sees the same cars, itself first.
 
-    With one ego the compiled kernel ticks it; with several highway-env's own code does, for the kernel knows one.
+    The compiled kernel ticks it. Its set-points are the first ego's; the others bring their controls along.
     """
 
     def __init__(self, env: ScenarioEnv, egos: int = 1) -> None:
@@ -76,18 +75,16 @@ class RoadWorld:
         alone = len(self.egos) == 1
         if alone and self.egos[0].crashed:
             return
+        before = [float(ego.speed) for ego in self.egos]
         for k, ego in enumerate(self.egos):
             ego.speed_goal, ego.speed_cap, ego.style = float(speed_goal[k]), float(speed_cap[k]), int(style[k])
-            if not alone and not self._away[k]:
+            if k:
                 ego.act(int(meta[k]))
-        if alone:
-            self.env.tick(int(meta[0]))
-        else:
-            road = self.env.road
-            road.act()
-            road.step(DT_S)
-            road.vehicles = [v for v in road.vehicles if not has_left(self.scenario, v)]
-            self.env.steps += 1
+                ego.act()
+        self.env.tick(int(meta[0]))
+        for k, ego in enumerate(self.egos):
+            if k and not self._away[k]:
+                ego.arrive(before[k], DT_S)
         self.ticks += 1
         self._read()
 

@@ -108,7 +108,8 @@ class Bridge:
     def read(self, road: Road) -> None:
         """Take the state of every vehicle and object. Raises UnsupportedError for what the kernel does not know.
 
-        Controls are not read: whoever drives sets them anew at every tick, and whoever has crashed has none.
+        Controls are not read: whoever drives sets them anew at every tick, and whoever has crashed has none. But of an
+        executor's car that is not the first they are: the kernel has set-points for the first alone.
         """
         cars = road.vehicles
         everything = cars + road.objects
@@ -147,6 +148,11 @@ class Bridge:
             ints[layout.SPEED_INDEX, 0] = first.speed_index
             ego.speeds[:] = first.target_speeds
         self.ego.target_speed[0] = first.target_speed
+        for i in self._others:
+            floats[layout.STEERING, i], floats[layout.ACCEL, i] = (
+                cars[i].action["steering"],
+                cars[i].action["acceleration"],
+            )
         self._before = ints[_MARKS].copy()
 
     def write(self, road: Road) -> None:
@@ -209,8 +215,6 @@ class Bridge:
         for i, (v, kind) in enumerate(zip(everything, kinds, strict=True)):
             if kind < 0 or (kind == layout.OBSTACLE) != (i >= cars):
                 raise UnsupportedError(f"{type(v).__name__} here")
-            if kind == layout.EXECUTOR and i > 0:
-                raise UnsupportedError("an executor's car that is not the first vehicle")
             if not (v.solid and v.collidable):
                 raise UnsupportedError("things that one can drive through")
             if kind in (layout.IDM, layout.MDP) and v.LENGTH != CAR_LENGTH_M:
@@ -236,6 +240,7 @@ class Bridge:
             )
         else:
             self.ego = new_ego(1, first.target_speeds.astype(np.float64) if kinds[0] == layout.MDP else _NO_SPEEDS)
+        self._others = [i for i, kind in enumerate(kinds) if i and kind == layout.EXECUTOR]
         self.kinds, self._everything = kinds, everything
 
 

@@ -10,7 +10,7 @@ import pytest
 from sim_node.env import ScenarioEnv
 
 
-@pytest.mark.parametrize("action", [7, -1, 5, 2.5, np.array([1]), "left"])
+@pytest.mark.parametrize("action", [7, -1, 6, 2.5, np.array([1]), "left"])
 def test_what_is_no_action_is_refused(action: Any) -> None:
     env = ScenarioEnv("merge")
     with pytest.raises(ValueError, match=r"is not one of 0\.\.4"):

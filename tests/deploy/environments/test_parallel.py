@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import warnings
 from typing import Any
 
@@ -17,6 +18,9 @@ with warnings.catch_warnings():  # of its own games
     from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 from deploy.environments.parallel import DrivingParallelEnv
+from deploy.environments.world import RoadWorld
+from sim_node.env import ScenarioEnv
+from sim_node.road import has_left
 
 
 @pytest.mark.parametrize("scenario", ["highway", "merge"])
@@ -56,6 +60,35 @@ def test_every_car_follows_its_own_directive() -> None:
     assert reached[1] > 18.0
     env.direct("car_1", lane=0)
     assert env.step(dict.fromkeys(env.agents, 1))[-1]["car_1"]["intent"]["lane"] == 0
+
+
+@pytest.mark.parametrize("scenario", ["highway", "merge", "two-way"])
+def test_the_engine_ticks_several_egos_as_highway_env_does_to_the_bit(scenario: str) -> None:
+    ours = RoadWorld(ScenarioEnv(scenario, duration_s=None), 3)
+    ours.begin(np.ones(3, np.bool_), np.array([5, 0, 0]))
+    road, egos = copy.deepcopy((ours.env.road, ours.egos))
+    rng, none, style = np.random.default_rng(0), np.full(3, np.inf), np.ones(3, np.int64)
+    for _ in range(90):
+        meta = rng.integers(0, 6, 3)
+        ours.tick(meta, np.full(3, np.nan), none, style)
+        for ego, action in zip(egos, meta, strict=True):
+            ego.speed_goal, ego.speed_cap = np.nan, np.inf
+            ego.act(int(action))
+        road.act()
+        road.step(1 / 15)
+        road.vehicles = [v for v in road.vehicles if not has_left(ours.scenario, v) or v in egos]
+        for ego, mine in zip(egos, ours.egos, strict=True):
+            assert state(ego) == state(mine)
+            assert (ego.acceleration, ego.target_lane, ego.previous_lane) == (
+                mine.acceleration,
+                mine.target_lane,
+                mine.previous_lane,
+            )
+        assert [state(v) for v in road.vehicles] == [state(v) for v in ours.env.road.vehicles]
+
+
+def state(vehicle: Any) -> tuple[Any, ...]:
+    return (*vehicle.position, vehicle.heading, vehicle.speed, vehicle.crashed)
 
 
 def test_the_cars_see_each_other() -> None:
