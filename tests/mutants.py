@@ -60,7 +60,9 @@ class Part(NamedTuple):
 PARTS = {
     "codec": Part("schemas/wire/codec.py", ("tests/schemas/wire/test_codec.py", "tests/schemas/wire/test_contract.py")),
     "bounds": Part("schemas/wire/bounds.py", ("tests/schemas/wire/test_bounds.py",)),
-    "actuator": Part("sim_node/actuator.py", ("tests/sim_node/test_actuator.py",)),
+    "actuator": Part(
+        "sim_node/actuator.py", ("tests/sim_node/test_actuator.py", "tests/sim_node/test_actuator_limits.py")
+    ),
     "coordination": Part(
         "fast_node/coordination.py",
         (

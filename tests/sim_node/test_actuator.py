@@ -2,24 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
 from schemas.wire.messages import MetaAction
-from sim_node.actuator import ADMITTED, GAP, LANE_END, ONCOMING, REASONS, TAKEN, check
+from sim_node.actuator import ADMITTED, GAP, LANE_END, ONCOMING, REASONS, TAKEN
+from tests.actuator_scenes import BRAKE, CRUISE, LEFT, RIGHT, SPEED_UP, asked
 from tests.scenes import car
-
-LANES, ENDS = [0.0, 4.0, 8.0], [1000.0, 1000.0, 1000.0]
-SLOW_DOWN, CRUISE, SPEED_UP, LEFT, RIGHT, BRAKE = MetaAction
-
-
-def asked(
-    meta: int, *others: list[float], v: float = 20.0, y: float = 4.0, aim: int = 1, left: int = -1, ends: Any = ENDS
-) -> tuple[int, int, int]:
-    """What is done, why and for whom, of an ego at x = 100 m on three lanes of one direction."""
-    ego = car(0, 100.0, round(y / 4.0), v, y)
-    return check([ego, *others], LANES, ends, meta, aim, left)
 
 
 def test_every_reason_has_its_words() -> None:
