@@ -32,6 +32,7 @@ from deploy.cli.options import (
     Sim,
     Traffic,
     names,
+    sayable,
 )
 
 if TYPE_CHECKING:
@@ -192,7 +193,7 @@ def run(
                 listen=listen or "",
                 tls=tls,
                 name=name or "",
-                say=say,
+                say=None if say is None else sayable(say, "--say"),
                 say_at_s=say_at,
                 as_json=as_json,
                 without=(*(without or ()), *(("record",) if no_record else ())),
@@ -236,7 +237,13 @@ def say(
 
     timeout_s = timeout if timeout is not None else 90.0 if wait else 15.0
     raise typer.Exit(
-        talk.say(text, car=_car(port, connect, cert, key, ca, name), wait=wait, timeout_s=timeout_s, as_json=as_json)
+        talk.say(
+            sayable(text, "TEXT"),
+            car=_car(port, connect, cert, key, ca, name),
+            wait=wait,
+            timeout_s=timeout_s,
+            as_json=as_json,
+        )
     )
 
 

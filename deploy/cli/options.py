@@ -109,3 +109,24 @@ def readable_ends() -> Iterator[None]:
         raise typer.Exit(CONFIG) from None
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
+
+
+def sayable(text: str, option: str) -> str:
+    """What is said, as the shell wrote it: a locale without letters hands it over in bytes. Ends with 2 for a text that
+    cannot be said."""
+    import os
+
+    from schemas.wire.codec import Fault, encode
+    from schemas.wire.messages import Command
+
+    try:
+        text = text if text.isascii() else os.fsencode(text).decode()
+    except UnicodeEncodeError:  # it has letters already
+        pass
+    except UnicodeDecodeError:
+        raise typer.BadParameter("this is no UTF-8 text", param_hint=f"'{option}'") from None
+    try:
+        encode(Command(epoch=0, stamp_ns=0, id=2**48, text=text, source="run"))
+    except (Fault, UnicodeEncodeError) as error:
+        raise typer.BadParameter(f"this cannot be said: {error}", param_hint=f"'{option}'") from None
+    return text

@@ -84,6 +84,10 @@ def run_system(
         print(f"fastslow: {error}", file=sys.stderr)
         return CONFIG
     except OSError as error:
+        if error.filename is None:
+            fix = "give the loopback device its address: ip address add 127.0.0.1/8 dev lo"
+            print(f"fastslow: there is no {TCP_HOST} to listen on ({error.strerror}); {fix}", file=sys.stderr)
+            return CONFIG
         print(
             f"fastslow: cannot write {error.filename}: {error.strerror}; run it in a folder of your own, and set "
             "FASTSLOW_DATA to another one if need be",

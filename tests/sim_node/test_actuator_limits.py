@@ -71,7 +71,7 @@ def test_a_slow_ego_is_noticed_the_later_the_slower_it_is(v: float, room: float)
 
 @pytest.mark.parametrize(("y", "free"), [(-1.9, False), (-2.5, True)])
 def test_a_place_is_as_wide_as_the_ego(y: float, free: bool) -> None:
-    assert (asked(LEFT, car(7, 100.0, 0, 20.0, y))[0] == LEFT) == free
+    assert (asked(LEFT, car(7, 99.0, 0, 20.0, y))[0] == LEFT) == free
 
 
 def test_the_place_behind_a_car_needs_the_room_to_stop_and_no_more() -> None:

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from deploy.cli.app import app
 from deploy.cli.bounded import MOST, BoundedCommand, Commands
+from deploy.cli.options import sayable
 from deploy.run.model_choice import choose_model
 from deploy.run.processes import Model, ModelOptions
 from schemas.runtime.errors import SAID_CHARS, ConfigError
@@ -128,3 +129,15 @@ def test_any_model_name_is_kept_or_refused(monkeypatch: pytest.MonkeyPatch, name
         return  # no environment holds these
     found = chosen({"OPENAI_BASE_URL": HERE, "OPENAI_MODEL": name or "m"}, monkeypatch)
     assert isinstance(found, str) or found.name == (name or "m").strip()
+
+
+@pytest.mark.parametrize("words", [["run", "--say"], ["say"]])
+@pytest.mark.parametrize("text", ["x" * 5000, "\udcff", "ü" * 3000], ids=["long", "no text", "long in bytes"])
+def test_what_cannot_be_said_is_refused_before_anybody_drives(words: list[str], text: str) -> None:
+    result = CliRunner().invoke(app, [*words, text])
+    assert (result.exit_code, type(result.exception)) == (2, SystemExit)
+
+
+def test_words_that_a_locale_without_letters_hands_over_in_bytes_are_read_as_they_were_written() -> None:
+    assert sayable("schöner".encode().decode("ascii", "surrogateescape"), "--say") == "schöner"
+    assert sayable("schöner", "--say") == "schöner"
