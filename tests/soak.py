@@ -28,6 +28,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -193,7 +194,7 @@ def result(part: str, drive: Drive, did: dict[str, Any], summary: dict[str, Any]
     counted = ("ticks", "answered", "collisions", "failsafes", "episodes", "restarts", "restarts_of", "modes")
     kept = {name: summary[name] for name in counted} if summary else {}
     if summary:
-        kept["modes"] = [mode["mode"] for mode in kept["modes"]]
+        kept["modes"] = dict(Counter(mode["mode"] for mode in kept["modes"]))
     return {
         "part": part,
         "minutes": round(minutes, 1),
