@@ -1,7 +1,9 @@
 """PPO of stable-baselines3, or MaskablePPO of sb3-contrib, on many roads at once; then in the live car.
 
-python docs/examples/sb3_ppo.py --masked --steps 200000      # or without --masked; learns, saves, evaluates
-cd docs/examples && fastslow run --policy sb3_ppo:load       # drives the live car with what was saved
+In this folder:
+
+    python sb3_ppo.py --masked --steps 200000      # or without --masked; learns, saves, evaluates
+    fastslow run --policy sb3_ppo:load             # drives the live car with what was saved
 """
 
 from __future__ import annotations
