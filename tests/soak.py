@@ -51,6 +51,8 @@ from tests.soak_report import REPORT, write
 LOOK_EVERY_S = 5.0
 SPEAK_EVERY_S = 45.0
 KILL_EVERY_S = 20.0
+TOLD = 10
+"""Troubles of a run, the last ones."""
 VICTIMS = ("fast", "slow", "sim", "llm", "record", "cockpit")
 SAYINGS = (
     "I'm in a hurry to get to work, I want to drive faster", "please slow down a little", "change to the left lane",
@@ -161,7 +163,7 @@ def driving(seconds: float, policy: dict[str, float] | None = None, **options: A
         env=os.environ | known,
         text=True,
         stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
+        stderr=(folder / "said").open("wb"),
     )
     try:
         with _client(port, process) as bus:
@@ -203,9 +205,15 @@ def result(part: str, drive: Drive, did: dict[str, Any], summary: dict[str, Any]
         "summary": kept,
         "processes": drive.meter.told(),
         "disk": drive.meter.disk.told() if drive.meter.disk.at_s else {},
+        "troubles": [line.strip() for line in _said(drive.folder) if "restarting" in line or "without" in line][-TOLD:],
         "largest_mb": {k: round(v / 1e6, 2) for k, v in sorted(drive.meter.largest.items()) if v > 1e5},
         "left": drive.meter.left(),
     }
+
+
+def _said(folder: Path) -> list[str]:
+    """What the run has told people."""
+    return (folder / "said").read_text(errors="replace").splitlines()
 
 
 def kills(scale: float) -> dict[str, Any]:

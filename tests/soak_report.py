@@ -60,6 +60,7 @@ def write(row: dict[str, Any], report: Path = REPORT) -> None:
         lines += [f"* {one['minutes']} minutes at revision {one['revision']}, on {one['machine']}."]
         lines += [f"* Done: {_words(one['did'])}."]
         lines += [f"* Summary: {_words(one['summary'])}."] if one["summary"] else []
+        lines += [f"* Told: {trouble}." for trouble in one.get("troubles", ()) if one["wrong"]]
         lines += [f"* Left behind at the end: {_words(one['left'])}.", f"* Disk: {_words(one['disk'])}."]
         lines += [f"* Largest files [MB]: {_words(one['largest_mb'])}." if one["largest_mb"] else "", ""]
         lines += ["| process | MB/min | MB | descriptors | more than at first |", "| --- | --- | --- | --- | --- |"]
