@@ -14,7 +14,7 @@ from typing import Any
 from deploy.door.carrier import Carrier
 from deploy.door.config import DoorConfig
 from deploy.door.sockets import allow_many, do_not_linger
-from schemas.runtime.bus import BusError, ZenohBus, open_bus
+from schemas.runtime.bus import BusError, Subscription, ZenohBus, open_bus
 from schemas.runtime.process import ConfigError, Heartbeat, load_config, log, run_node
 from schemas.runtime.realtime import weigh_session
 from schemas.wire import topics
@@ -35,11 +35,15 @@ def carriers(inner: ZenohBus, outer: ZenohBus, config: DoorConfig) -> tuple[Carr
         inner.faults[topic.name] = inner.faults.get(topic.name, 0) + 1
         inner.last_fault = f"{topic.name}: {why}"
 
+    def told_of(topic: Topic[Any]) -> Subscription[bytes]:
+        """What is said inside, its own heartbeat included, but not what it has just carried in."""
+        return inner.subscribe_others(topic) if topic in inward else inner.subscribe_bytes(topic)
+
     named = {topic.name: topic for topic in topics.TOPICS}
     inward, outward = ([named[name] for name in names] for names in (config.inward, config.outward))
     return (
         *(Carrier(topic, outer.subscribe_others(topic), inner.publish_bytes, refuse) for topic in inward),
-        *(Carrier(topic, inner.subscribe_others(topic), outer.publish_bytes) for topic in outward),
+        *(Carrier(topic, told_of(topic), outer.publish_bytes) for topic in outward),
     )
 
 

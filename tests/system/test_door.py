@@ -55,6 +55,8 @@ with zenoh.open(config) as session:
 print(put)
 """
 TRIALS = 20
+SOME = 3
+"""Ticks without an answer in time that a drive on a busy machine has anyway, mostly its first ones."""
 
 
 def door_of(drive: Drive) -> str:
@@ -79,7 +81,7 @@ def check(drive: Drive, record: Record, told: str) -> None:
     unanswered = summary["ticks"] - summary["answered"]
     record("measured", f"{told}; {unanswered} of {summary['ticks']} ticks unanswered, {summary['restarts']} restarts")
     assert (summary["restarts"], summary["collisions"], summary["strays"]) == (0, 0, 0)
-    assert unanswered <= 0.02 * summary["ticks"]
+    assert unanswered <= SOME + 0.01 * summary["ticks"]
 
 
 def is_let_in(endpoint: str) -> bool:
@@ -164,4 +166,4 @@ def test_the_door_comes_back_at_its_port_and_the_car_drives_on(
     unanswered = summary["ticks"] - summary["answered"]
     record_property("measured", f"back after {back_s:.1f} s; {unanswered} of {summary['ticks']} ticks unanswered")
     assert (summary["restarts"], summary["collisions"]) == (1, 0)
-    assert unanswered <= 0.02 * summary["ticks"] + 1
+    assert unanswered <= SOME + 0.01 * summary["ticks"]

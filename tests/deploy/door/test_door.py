@@ -75,7 +75,8 @@ def until_it_comes(publish: Callable[[], None], comes: Callable[[], object]) -> 
 def test_a_user_speaks_and_sees_what_happens(between: Between) -> None:
     heard = between.inside.subscribe_bytes(topics.COMMAND)
     with open_bus(between.user()) as user:
-        seen = user.subscribe(topics.EVENT)
+        seen, beats = user.subscribe(topics.EVENT), user.subscribe(topics.STATUS)
+        until(lambda: any(beat.node == "door" for beat in beats.take()), "the door itself is not seen")
         until_it_comes(lambda: user.publish_bytes(topics.COMMAND, b"faster"), lambda: heard.peek() == b"faster")
         until_it_comes(lambda: between.inside.publish(topics.EVENT, event(7)), lambda: seen.peek() == event(7))
 
