@@ -34,7 +34,8 @@ def mind_experiment(folder: Path, *, as_json: bool, per_kind: int | None, thread
         kept = partial(CachedModel, path=folder / "answers.jsonl")
         try:
             model = ModelOptions(budget_s=BUDGET_S, embedded=True)
-            scores[name] = measure(gold, **options, threads=threads, model=model, chat_model=kept)
+            needed = options["ask"] != "never"
+            scores[name] = measure(gold, **options, threads=threads, model=model, chat_model=kept, needs_model=needed)
         except ConfigError as error:
             print(f"fastslow: {error}", file=sys.stderr)
             return CONFIG

@@ -36,7 +36,7 @@ def measure(gold: list[dict[str, Any]], **options: Any) -> dict[str, Any]:
             "max": float(latencies.max()),
         },
         "answered_by": {name: sum(row["model"] == name for row in rows) for name in sorted(answered)},
-        "settings": {key: options[key] for key in sorted(options) if key != "model"},
+        "settings": {key: options[key] for key in sorted(options) if key not in ("model", "chat_model")},
         "rows": rows,
     }
 

@@ -12,6 +12,7 @@ from deploy.run.launch import Launched
 from deploy.run.model_choice import choose_model
 from deploy.run.model_server import embedded_server
 from deploy.run.processes import ModelOptions
+from schemas.runtime.process import ConfigError
 from slow_node.config import SlowConfig
 from slow_node.interpreter import Interpreter
 from slow_node.llm.model import ChatModel
@@ -32,11 +33,13 @@ def running_interpreter(
     adapter: bool = True,
     memory_path: str = "",
     model: ModelOptions | None = None,
+    needs_model: bool = False,
     scene: bool = True,
     chat_model: Callable[..., ChatModel] = ChatModel,
 ) -> Iterator[Interpreter]:
     """An interpreter and, where it may ask it, the embedded model's process. Raises `ConfigError`.
 
+    needs_model: an error, rather than the reader alone, where the embedded model does not start.
     scene: whether the model is told of it. chat_model: makes the client of the model's server.
     """
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that the model ends with us
@@ -47,6 +50,8 @@ def running_interpreter(
     try:
         if chosen.embedded and ask != "never":
             server = embedded_server(chosen.port, threads, adapter=adapter, weights=chosen.weights)
+            if server is None and needs_model:
+                raise ConfigError("the embedded model did not start: see `fastslow doctor`, or run it again")
             if server is None:
                 print("fastslow: the embedded model did not start; the intent parser answers alone", file=sys.stderr)
                 ask = "never"

@@ -137,6 +137,7 @@ def _driven(
         "model": {"ask": "always", "parser": False},
     }
     options = dict(ways.get(condition.driver, {"ask": "always"}))
+    options["needs_model"] = options["ask"] != "never"
     if condition.without == "memory":
         options |= {"k": 0, "empty_bank": True}
     if condition.driver != "endpoint":
