@@ -31,9 +31,11 @@ from schemas.wire.messages import Command, Directive, Event, EventKind, Reply, R
 from schemas.wire.program import Program, Trigger
 from slow_node.agenda import WAIT_MAX_S, Agenda, told, watch
 from slow_node.answers import Answers, lasts_sentence, waits_sentence
-from slow_node.dialogue import Said, asked, follows, lacks_its_side, resolved, which_side
-from slow_node.effects import Abandon, Effect, Interpret
+from slow_node.dialogue import Said, asked, follows, lacks_its_side, resolved, smaller, which_side
+from slow_node.effects import Abandon, Effect, Interpret, Prefer
 from slow_node.interpreter import Context, Interpretation
+from slow_node.lessons import gentler, taken_back
+from slow_node.memory.preferences import Manner
 from slow_node.planning.directive import Refusal, directive_of
 from slow_node.planning.program_text import brief
 from slow_node.planning.replies import sentence
@@ -42,6 +44,7 @@ from slow_node.planning.spoken import place
 from slow_node.planning.steps import slots_of
 from slow_node.pursuit import Pursuing, Pursuit
 from slow_node.unanswered import Wish
+from slow_node.understanding.reading.standing import standing
 from slow_node.understanding.reading.values import steps_of
 from slow_node.understanding.slots import Slots
 
@@ -82,6 +85,8 @@ class Deliberation(Pursuing):
         self._asked_for = self._asked_more = 0
         self._turns: tuple[str, ...] = ()
         """What was asked for last, in brief."""
+        self._aside = ""
+        """To be said with the reply to a command."""
 
     def open_wishes(self) -> list[Wish]:
         """Those whose passenger has not had the last reply."""
@@ -227,7 +232,13 @@ class Deliberation(Pursuing):
             return [self._refused(command, found.why, "unclear", now_ns)]
         self._language = found.slots.language
         scene, late = self._scene_of(pending, now_ns)
+        noted = self._noted(command, found.slots, scene, now_ns)
         program = found.program or Program(outcome=found.slots.outcome, steps=steps_of(found.slots))
+        if noted and (program.outcome != "directive" or not program.steps):
+            usual = Slots(outcome="directive", cancel=True, language=self._language, say=self._aside)
+            draft = directive_of(usual, scene)
+            assert isinstance(draft, Directive)  # normal driving is never refused
+            return [*noted, *self._begin(command, usual, "", scene, draft, now_ns)]
         if program.question and not program.steps:
             self._said = asked(program.question, scene, self._said)
             say = Answers(scene, self._pursuit, self._agenda, self._language, program.miles).to(program.question)
@@ -240,6 +251,8 @@ class Deliberation(Pursuing):
             if not steps and found.slots.outcome != "directive":
                 why, key = ("no", "no_wish_before") if self._said is None else ("another kind of", "unclear")
                 return [self._refused(command, f"unclear command: {why} wish before it to go by", key, now_ns)]
+            if program.steps[0].act in ("less", "opposite"):
+                noted += taken_back(self._said)
             program = structs.replace(program, outcome="directive", steps=steps or steps_of(found.slots))
         elif program.outcome != "directive" or not program.steps or found.slots.outcome != "directive":
             refusal = directive_of(found.slots, scene)
@@ -247,7 +260,21 @@ class Deliberation(Pursuing):
                 return [self._refused(command, found.why or refusal.why, "", now_ns, say=refusal.say)]
         if not program.steps:
             return [self._refused(command, found.why or "the answer asks for nothing", "unclear", now_ns)]
-        return self._undertake(command, program, found, scene, late, now_ns)
+        if found.lesson == "less" and smaller(program.steps) != program.steps:
+            program = structs.replace(program, steps=smaller(program.steps))
+            self._aside = sentence("lesson_less", self._language)
+        return [*noted, *self._undertake(command, program, found, scene, late, now_ns)]
+
+    def _noted(self, command: Command, slots: Slots, scene: Scene, now_ns: int) -> list[Effect]:
+        """What a command says for every drive is kept, or forgotten; and said so with the next reply."""
+        self._aside = ""
+        said = standing(command.text)
+        if said is None or slots.outcome == "refused" or said.holds == (said.kind in self.manner.kinds):
+            return []
+        change = {said.kind}
+        self.manner = Manner(self.manner.kinds | change if said.holds else self.manner.kinds - change)
+        self._aside = sentence(f"prefers_{said.kind}" if said.holds else "prefers_no_more", self._language)
+        return [Prefer(said.kind, command.text, said.holds)]
 
     def _undertake(
         self, command: Command, program: Program, found: Interpretation, scene: Scene, late: bool, now_ns: int
@@ -256,7 +283,7 @@ class Deliberation(Pursuing):
         when = program.steps[0].when
         waits = watch(when, scene, now_ns) if when is not None and when.kind != "done" else None
         agenda = Agenda(command, program, self._language, 0, waits)
-        slots = agenda.asked(scene)
+        slots = self.manner.wished(agenda.asked(scene))
         if found.slots is not None and len(agenda.parts) == 1 and waits is None:
             slots = slots.model_copy(update={"say": found.slots.say, "reasoning": found.slots.reasoning})
         draft = directive_of(slots, scene)
@@ -268,13 +295,14 @@ class Deliberation(Pursuing):
         if self._agenda is not None and self._agenda.command.id == command.id:
             self._agenda = None  # the same command, understood better
         dropped = self._drop_agenda("cancelled" if slots.cancel else "superseded", is_to_wait, now_ns)
-        self._said = Said(program.steps, scene)
+        self._said = Said(program.steps, scene, command.text, slots)
         self._turns = (*self._turns, brief(program))[-TURNS:]
         if is_to_wait:
             self._agenda = agenda
             return [*dropped, *self._waiting(agenda, draft.say, now_ns)]
         self._agenda = agenda = agenda.under_way(scene, now_ns)
-        draft = structs.replace(draft, say=self._whole_of(agenda, draft.say, scene))
+        say = " ".join(filter(None, (self._whole_of(agenda, draft.say, scene), self._aside)))
+        draft = gentler(structs.replace(draft, say=say), found.lesson)
         return [*dropped, *self._begin(command, slots, found.why, scene, draft, now_ns)]
 
     @staticmethod
@@ -353,7 +381,7 @@ class Deliberation(Pursuing):
 
     def _next(self, agenda: Agenda, scene: Scene, now_ns: int) -> list[Effect]:
         """Begin the stage of an agenda."""
-        slots = agenda.asked(scene)
+        slots = self.manner.wished(agenda.asked(scene))
         draft = directive_of(slots, scene)
         if isinstance(draft, Refusal):
             self._agenda = None
@@ -407,17 +435,18 @@ class Deliberation(Pursuing):
     def on_scene(self, scene: Scene, now_ns: int) -> list[Effect]:
         """A new observation: begin with the command that has waited for it, and watch over the pursuit."""
         before, self._scene = self._scene, scene
+        usual = self._as_preferred(scene, now_ns) if before is None or before.epoch != scene.epoch else []
         if self._held is not None:
             held, self._held = self._held, None
-            return self._ask(held, scene, now_ns)
+            return [*usual, *self._ask(held, scene, now_ns)]
         if before is not None and before.epoch != scene.epoch:
             gone = self._agenda_in_new_world(scene, now_ns)
             pursuit = self._pursuit
-            return [*gone, *(self._renew_in_new_world(pursuit, scene, now_ns) if pursuit is not None else ())]
+            return [*usual, *gone, *(self._renew_in_new_world(pursuit, scene, now_ns) if pursuit is not None else ())]
         if self._agenda is not None and (due := self._look_after(self._agenda, scene, now_ns)):
             return due
         if self._pursuit is None or before is None:
-            return []
+            return usual
         return self._watch_over(self._pursuit, before, scene, now_ns)
 
     def _fulfilled(self, pursuit: Pursuit, directive_id: int, now_ns: int) -> list[Effect]:

@@ -11,6 +11,7 @@ from slow_node.planning.directive import may_take
 from slow_node.planning.scene import Scene
 from slow_node.planning.steps import headway_now_s
 from slow_node.understanding.reading.values import A_BIT_MPS
+from slow_node.understanding.slots import Slots
 
 FOLLOW_UPS = ("more", "less", "again", "opposite", "back")
 A_BIT_M = 10.0
@@ -31,6 +32,9 @@ class Said:
 
     steps: tuple[Step, ...]
     scene: Scene
+    command: str = ""
+    slots: Slots | None = None
+    """Of its first stage."""
 
 
 def follows(steps: tuple[Step, ...]) -> bool:
@@ -157,3 +161,10 @@ def _as_before(last: Said) -> tuple[Step, ...]:
         if scene.ego_lane in own:
             steps.append(Step(act="lane", count=min(own.index(scene.ego_lane) + 1, 8)))
     return tuple(steps)
+
+
+def smaller(steps: tuple[Step, ...]) -> tuple[Step, ...]:
+    """The first step by a bit, where it is a change without a number; as they are where it is none."""
+    if not steps or steps[0].act not in _OPPOSITE or steps[0].value is not None:
+        return steps
+    return (_sized(steps[0], 0.5), *steps[1:])

@@ -41,4 +41,13 @@ class Remember:
     """Smallest time to collision meanwhile (`Scene.ttc_s`); inf: the ego never closed in on anybody."""
 
 
-Effect = Interpret | Abandon | Remember | Directive | Reply | Event
+@dataclass(frozen=True)
+class Prefer:
+    """Effect: keep what the passenger prefers on every drive, or forget it."""
+
+    kind: str
+    said: str
+    holds: bool
+
+
+Effect = Prefer | Interpret | Abandon | Remember | Directive | Reply | Event

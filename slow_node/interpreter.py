@@ -86,6 +86,8 @@ class Interpretation:
     program: Program | None = None
     """The command as a script; None: what the slots say, at once."""
     model_asked: bool = False
+    lesson: str = ""
+    """What experience on a road like this one says about it."""
     provisional: bool = False
     """The reader's, to be acted on until the model has answered."""
     verdict: Verdict = ""

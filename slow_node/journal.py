@@ -42,6 +42,10 @@ class Diary:
     def interpretation(self, identity: int, found: Interpretation, now_ns: int) -> None:
         self._say(Input(now_ns=now_ns, found=as_found(found), id=identity))
 
+    def manner(self, kinds: frozenset[str], now_ns: int) -> None:
+        """What is preferred on every drive."""
+        self._say(Input(now_ns=now_ns, manner=tuple(sorted(kinds))))
+
     def flush(self, now_ns: int) -> None:
         """Send the ticks that wait."""
         if self._scenes:
@@ -73,6 +77,7 @@ def as_found(found: Interpretation) -> Found:
         program=found.program,
         provisional=found.provisional,
         verdict=found.verdict,
+        lesson=found.lesson,
     )
 
 
@@ -87,4 +92,5 @@ def interpretation_of(found: Found) -> Interpretation:
         program=found.program,
         provisional=found.provisional,
         verdict=found.verdict,
+        lesson=found.lesson,
     )

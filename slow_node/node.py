@@ -7,6 +7,7 @@ import os
 import signal
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import msgspec
 
@@ -17,15 +18,17 @@ from schemas.wire.codec import Fault, decode_command
 from schemas.wire.messages import Directive, Event, EventKind, Reply
 from slow_node.config import BUDGET_S, TOKEN, SlowConfig
 from slow_node.deliberation import Deliberation
-from slow_node.effects import Abandon, Effect, Interpret, Remember
+from slow_node.effects import Abandon, Effect, Interpret, Prefer, Remember
 from slow_node.interpreter import ENDPOINT_TRUST, SURE, Interpretation, Interpreter, Style
 from slow_node.journal import Diary
+from slow_node.lessons import lesson_for
 from slow_node.llm.adapter import read_adapter
 from slow_node.llm.embedding import load_embedder
 from slow_node.llm.endpoint import is_loopback
 from slow_node.llm.model import MAX_TOKENS, MAX_TOKENS_SHORT, ChatModel
 from slow_node.memory.bank import Memory
 from slow_node.memory.examples import EXAMPLES
+from slow_node.memory.preferences import Manner, Preference
 from slow_node.planning.scene import describe, encode_scene
 from slow_node.telemetry import telemetry_of
 from slow_node.thought import ThoughtsFile, Trace, shortened, thought_of
@@ -57,6 +60,9 @@ class SlowNode:
         self._events = bus.subscribe(topics.EVENT)
         self._deliberation = Deliberation(budget_s, asks_again=interpreter.asks_again)
         self._diary = Diary(lambda journal: bus.publish(topics.JOURNAL, journal))
+        self._deliberation.manner = Manner.of(memory.preferences())
+        if self._deliberation.manner.kinds:
+            self._diary.manner(self._deliberation.manner.kinds, time.monotonic_ns())
         self._interpretation: asyncio.Task[None] | None = None
         self._chores: set[asyncio.Task[None]] = set()
         self._seen: tuple[int, int] | None = None
@@ -148,12 +154,20 @@ class SlowNode:
                 case Interpret():
                     self._abandon()
                     self._interpretation = asyncio.get_running_loop().create_task(self._interpret(effect))
+                case Prefer():
+                    self._keep_preference(effect)
                 case Abandon():
                     self._abandon()
                 case Remember():
                     chore = asyncio.get_running_loop().create_task(self._remember(effect))
                     self._chores.add(chore)
                     chore.add_done_callback(self._chores.discard)
+
+    def _keep_preference(self, effect: Prefer) -> None:
+        if effect.holds:
+            self._memory.prefer(Preference(effect.kind, effect.said))
+        else:
+            self._memory.drop(effect.kind)
 
     def _abandon(self) -> None:
         if self._interpretation is not None:
@@ -189,6 +203,8 @@ class SlowNode:
 
     def _take(self, effect: Interpret, found: Interpretation) -> list[Reply]:
         """Have an interpretation counted and carried out; the replies to its command."""
+        if found.slots is not None:
+            found = replace(found, lesson=lesson_for(found.slots, effect.scene, found.nearest))
         now_ns = time.monotonic_ns()
         self._diary.interpretation(effect.id, found, now_ns)
         try:

@@ -149,6 +149,15 @@ class Pursuing(Voice):
         super().__init__()
         self._pursuit: Pursuit | None = None
 
+    def _as_preferred(self, scene: Scene, now_ns: int) -> list[Effect]:
+        """A drive begins in the passenger's manner, before anything is asked for."""
+        if not self.manner.kinds - {"no_passing"} or self._pursuit is not None:
+            return []
+        usual = directive_of(Slots(outcome="directive", cancel=True, language=self._language), scene)
+        assert isinstance(usual, Directive)  # normal driving is never refused
+        nobody = Command(epoch=scene.epoch, stamp_ns=now_ns, id=0, text="")
+        return [self._directive(nobody, structs.replace(usual, say=""), scene, "as the passenger prefers", now_ns)]
+
     def _watch_over(self, pursuit: Pursuit, before: Scene, scene: Scene, now_ns: int) -> list[Effect]:
         """What a new scene means for it: the end, the way back, another directive, or nothing."""
         pursuit = replace(pursuit, min_ttc_s=min(pursuit.min_ttc_s, scene.ttc_s))
@@ -204,7 +213,7 @@ class Pursuing(Voice):
         self.metrics["replans"] += 1
         pursuit = self._pursuit = replace(pursuit, planned_ns=now_ns)
         again = self._asked_again(pursuit, what, scene)
-        draft = pursuit.planned_again(scene)
+        draft = self.manner.styled(pursuit.planned_again(scene))
         if draft.manoeuvre != "overtake" and asks_the_same(draft, pursuit.directive):
             return again
         return [*self._issue(pursuit, draft, scene, what, now_ns), *again]

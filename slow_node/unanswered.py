@@ -13,6 +13,7 @@ from schemas.runtime.process import log
 from schemas.wire.messages import Command, Reply
 from slow_node.planning.replies import sentence
 
+RESTARTED = "the slow node was restarted"
 MOST_CHARS = 80
 """Of a wish's words in a reply."""
 
@@ -64,6 +65,6 @@ def told(wish: Wish, epoch: int, now_ns: int) -> Reply:
         command_id=wish.command.id,
         outcome="failed",
         text=text[:200],
-        why="the slow node was restarted",
+        why=RESTARTED,
         say=sentence("restarted", wish.language, text=text[:MOST_CHARS]),
     )

@@ -7,6 +7,7 @@ from msgspec import structs
 from schemas.wire.messages import Command, Directive, Event, EventKind, Reply, ReplyOutcome
 from schemas.wire.program import Trigger
 from slow_node.agenda import Agenda, told
+from slow_node.memory.preferences import Manner
 from slow_node.planning.directive import issued
 from slow_node.planning.replies import sentence
 from slow_node.planning.scene import Scene
@@ -25,6 +26,8 @@ class Voice:
         self._last_id = 0
         self._told: tuple[int, ReplyOutcome] | None = None
         """The command that was answered last, and how."""
+        self.manner = Manner()
+        """The passenger's, on every drive."""
         self.metrics: dict[str, float] = {"commands": 0, "directives": 0, "refused": 0, "replans": 0}
 
     @property
@@ -51,6 +54,7 @@ class Voice:
     def _directive(self, command: Command, draft: Directive, scene: Scene, reasoning: str, now_ns: int) -> Directive:
         self._last_id = max(self._last_id + 1, now_ns // 1000)
         self.metrics["directives"] += 1
+        draft = self.manner.styled(draft)
         agenda = self._agenda
         if agenda is not None and agenda.command.id == command.id and len(agenda.program.steps) > 1:
             waits_for = told(agenda.next_trigger) or (told(agenda.lasts.trigger) if agenda.lasts else "")

@@ -155,7 +155,10 @@ def study(
         list[str] | None, typer.Option(help="Roads; may be repeated.", show_default="highway, merge, two-way")
     ] = None,
     seeds: Annotated[
-        int | None, typer.Option(min=1, help="How many, from 0; with --tune from 100.", show_default="5; with --tune 1")
+        int | None,
+        typer.Option(
+            min=1, help="How many, from 0; with --tune from 100.", show_default="5; with --tune 1, with --memory 12"
+        ),
     ] = None,
     steps: Annotated[int, typer.Option(min=256, help="Decisions per run.")] = 100_000,
     jobs: Annotated[int, typer.Option(min=1, help="Runs side by side.")] = 2,
@@ -179,6 +182,9 @@ def study(
             "delays, with model, scene and memory switched off in turn; --quick: a few of them.",
         ),
     ] = False,
+    memory: Annotated[
+        bool, typer.Option("--memory", help="What remembering changes in driving instead: --seeds drives of each kind.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Compare our learner with PPO, DQN and A2C over several seeds; run again to go on."""
@@ -194,6 +200,10 @@ def study(
             if tune or algorithm or variant or scenario:
                 raise ValueError("--mind takes --out, --seeds, --quick and --json: leave the others out")
             raise typer.Exit(run_mind_study(out, seeds=seeds or SEEDS, quick=quick, as_json=as_json))
+        if memory:
+            from deploy.lab.study.memory import run_memory
+
+            raise typer.Exit(run_memory(seeds or 12, scenario, as_json=as_json))
         if tune and quick:
             raise ValueError("--tune and --quick are two things: leave one out")
         if tune:

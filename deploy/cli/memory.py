@@ -53,7 +53,8 @@ def _bank(path: Path | None) -> Iterator[Memory]:
 def _row(example: Example) -> dict[str, Any]:
     from slow_node.memory.bank import Row
 
-    return {**Row.of(example).model_dump(), "slots": json.loads(example.slots.compact())}
+    row = {**Row.of(example).model_dump(), "slots": json.loads(example.slots.compact())}
+    return {**row, "lesson": example.lesson} if example.lesson else row
 
 
 def _seconds(value: float | None) -> str:
@@ -80,6 +81,7 @@ def list_(
         typer.echo(
             f"{row['id']:>5}  {times:>5}  {row['outcome']:<12} {row['took_s']:>6} s  "
             f"TTC {_seconds(row['min_ttc_s'])}  {plain(row['command'])}  {row['slots']}"
+            + (f"  next time: {row['lesson']}" if "lesson" in row else "")
         )
     typer.echo(f"{len(rows)} examples", err=True)
 
@@ -98,14 +100,43 @@ def show(
 
 @app.command()
 def forget(
-    identity: Annotated[int, typer.Argument(metavar="ID", help="As `list` shows it.")], bank: Bank = None
+    identity: Annotated[str, typer.Argument(metavar="ID|KIND", help="As `list` or `preferences` shows it.")],
+    bank: Bank = None,
 ) -> None:
-    """Remove one example. A shipped one comes back with the next start."""
+    """Remove one example, or a preference. A shipped example comes back with the next start."""
     with _bank(bank) as memory:
-        gone = memory.forget(identity)
+        gone = memory.forget(int(identity)) if identity.isdecimal() else memory.drop(identity)
     if not gone:
-        typer.echo(f"fastslow: there is no example {identity}; see: fastslow memory list --shipped", err=True)
+        where = "list --shipped" if identity.isdecimal() else "preferences"
+        typer.echo(f"fastslow: there is no example or preference {identity}; see: fastslow memory {where}", err=True)
         raise typer.Exit(1)
+
+
+@app.command()
+def preferences(bank: Bank = None, as_json: Json = False) -> None:
+    """What the passenger prefers on every drive: its kind, what the car does for it, and the words that said so."""
+    from slow_node.memory.preferences import KINDS
+
+    with _bank(bank) as memory:
+        kept = memory.preferences()
+    if as_json:
+        typer.echo(json_line([{"kind": one.kind, "does": KINDS[one.kind], "said": one.said} for one in kept]))
+        return
+    for one in kept:
+        typer.echo(f"{one.kind:<12} {KINDS[one.kind]:<38} {plain(one.said)}")
+    typer.echo(f"{len(kept)} preferences", err=True)
+
+
+@app.command()
+def prefer(kind: Annotated[str, typer.Argument(help="gentle, room or no_passing.")], bank: Bank = None) -> None:
+    """Have the car drive so on every drive; `forget KIND` takes it back. A passenger says it: "I get carsick"."""
+    from slow_node.memory.preferences import KINDS, Preference
+
+    if kind not in KINDS:
+        typer.echo(f"fastslow: {kind}: choose from {', '.join(KINDS)}", err=True)
+        raise typer.Exit(2)
+    with _bank(bank) as memory:
+        memory.prefer(Preference(kind, "by hand"))
 
 
 @app.command()

@@ -10,7 +10,9 @@ from schemas.wire.messages import Directive, Input, Reply
 from slow_node.deliberation import Deliberation
 from slow_node.effects import Effect
 from slow_node.journal import interpretation_of
+from slow_node.memory.preferences import Manner
 from slow_node.planning.scene import encode_scene
+from slow_node.unanswered import RESTARTED
 
 
 def check_slow(tape: Tape, budget_s: float) -> tuple[Comparison, Comparison]:
@@ -41,6 +43,8 @@ def check_slow(tape: Tape, budget_s: float) -> tuple[Comparison, Comparison]:
             continue
         directives.compare(directive.epoch, directive.scene_tick, fields_of(directive), fields_of(twin) if twin else {})
     for reply in tape.replies:
+        if reply.why == RESTARTED:
+            continue  # the shell's, of another process
         twin_reply = again_replies.get((reply.stamp_ns, reply.command_id, reply.outcome))
         if twin_reply is None and _within(gaps, reply.stamp_ns):
             replies.unchecked += 1
@@ -84,6 +88,9 @@ def _feed(deliberation: Deliberation, one: Input, tape: Tape) -> list[Effect] | 
         return deliberation.refuse_payload(one.refused, one.id, one.now_ns)
     if one.found is not None:
         return deliberation.on_interpretation(one.id, interpretation_of(one.found), one.now_ns)
+    if one.manner is not None:
+        deliberation.manner = Manner(frozenset(one.manner))
+        return []
     observation = tape.observations.get((one.epoch, one.tick))
     return deliberation.on_scene(encode_scene(observation), one.now_ns) if observation is not None else None
 

@@ -398,12 +398,15 @@ class Found(Struct, frozen=True, kw_only=True, omit_defaults=True):
     provisional: bool = False
     """The quick reader's, while the language model is still thinking."""
     verdict: Verdict = ""
+    lesson: str = ""
+    """What experience on a road like this one says about it: "less", "gentler"; "": nothing."""
 
 
 class Input(Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One thing that the slow node took into account.
 
-    Exactly one of a tick, an event, a command, what is no command, and what a command was found to mean.
+    Exactly one of a tick, an event, a command, what is no command, what a command was found to mean, and
+    what is preferred.
     """
 
     now_ns: int
@@ -419,6 +422,8 @@ class Input(Struct, frozen=True, kw_only=True, omit_defaults=True):
     found: Found | None = None
     id: int = -1
     """Of what was refused or found."""
+    manner: tuple[str, ...] | None = None
+    """The kinds of what the passenger prefers on every drive, as the memory had them at the start."""
 
 
 class Journal(Message, frozen=True, kw_only=True, tag="journal"):

@@ -45,7 +45,7 @@ def wrapped(
         command = row["text"].strip()
         said = known.get(language_of(command), known["en"])
         sentences, calls = said["sentences"], said["calls"]
-        first, second = sentences[(7 * number) % len(sentences)], sentences[(7 * number + 3) % len(sentences)]
+        first, second = sentences[(5 * number) % len(sentences)], sentences[(5 * number + 2) % len(sentences)]
         ended = command if command[-1] in ".!?…" else command + "."
         text = {
             "before": f"{first} {command}",

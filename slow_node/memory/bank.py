@@ -1,8 +1,7 @@
 """The memory bank D and its retrieval M_t (paper's Eq. 6): SQLite on disk, exact cosine in NumPy.
 
-Sentences are embedded from the command alone: similar wishes, not similar roads, are what the answer depends on; the
-scene travels with the example as text. Only the shipped examples may overrule the model (see
-`slow_node.planning.directive`): what was learnt on the road came from the model itself.
+Sentences are embedded from the command alone; the scene travels with the example as text. Only the shipped examples may
+overrule the model (`slow_node.planning.directive`): what was learnt on the road came from the model itself.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -23,6 +22,7 @@ from schemas.driving.measures import INF
 from schemas.runtime.process import ConfigError
 from slow_node.llm.embedding import DIMENSION, Embedder, Vector
 from slow_node.memory.examples import EXAMPLES, embed_command, read_shipped, shipped_vectors
+from slow_node.memory.preferences import TABLE, Preferring
 from slow_node.understanding.slots import Slots
 
 SHIPPED = "seed"
@@ -34,6 +34,8 @@ SAME_COSINE = 0.98
 """A learnt command this near to another learnt one with the same decision is the same experience: they are merged."""
 FILE_BYTES, TEXT_CHARS = 200_000_000, 10_000
 """Of a bank's file, and of each text in it, at most: ours have some megabytes, and some hundred characters."""
+TAKEN_BACK = "taken back"  # outcome of a wish that the passenger found to be too much
+Lesson = Literal["", "less", "gentler"]
 NEAR_MISS_S = 1.5
 """A smaller time to collision is a near miss, in the usual sense of traffic conflict studies."""
 
@@ -73,6 +75,13 @@ class Example:
         if self.min_ttc_s < NEAR_MISS_S:
             notes.append(f"near miss, {self.min_ttc_s:.1f} s from a collision")
         return f"{'last time' if times <= 1 else 'before'}: {'; '.join(notes)}" if notes else ""
+
+    @property
+    def lesson(self) -> Lesson:
+        """What to do differently the next time; "" for nothing."""
+        if self.trouble.startswith(TAKEN_BACK):
+            return "less"
+        return "gentler" if self.min_ttc_s < NEAR_MISS_S else ""
 
     def after(self, older: Example) -> Example:
         """The two as one experience: the newer's words and outcome, with what went wrong in both."""
@@ -157,7 +166,7 @@ class Row(BaseModel):
         return replace(once, fulfilled=self.fulfilled, failed=self.failed, trouble=self.trouble)
 
 
-class Memory:
+class Memory(Preferring):
     """Open with a file's path, or with "" for a bank that ends with the process. Safe to call from any thread.
 
     `shipped` None: nothing is planted. Raises `ConfigError` where the file cannot be used.
@@ -261,6 +270,7 @@ class Memory:
 
     def _migrate(self) -> None:
         """Make the table. Banks of fastslow 0.1.0 had one row per command, without the history of what came of it."""
+        self._db.execute(TABLE)
         columns = {column[1] for column in self._db.execute("PRAGMA table_info(experience)")}
         if "trouble" in columns:
             return
@@ -352,7 +362,9 @@ def _refuse_foreign(db: sqlite3.Connection) -> None:
     """Raises ValueError for the database of another program, into which nothing is written."""
     tables = {name for (name,) in db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     columns = {column[1] for column in db.execute("PRAGMA table_info(experience)")}
-    if tables - {"experience", "sqlite_sequence"} or (columns and not {"space", "command", "vector"} <= columns):
+    if tables - {"experience", "preference", "sqlite_sequence"} or (
+        columns and not {"space", "command", "vector"} <= columns
+    ):
         raise ValueError("it is another program's database")
 
 

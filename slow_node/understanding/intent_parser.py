@@ -133,7 +133,10 @@ class IntentParser:
 
     def probabilities(self, command: str) -> dict[str, NDArray[np.float32]]:
         """Every head's distribution over its classes."""
-        pooled, hidden = self.features(command)
+        return self.heads(*self.features(command))
+
+    def heads(self, pooled: NDArray[np.float32], hidden: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+        """Every head's distribution, of `features`."""
         logits = self._w["dense.weight"] @ pooled + self._w["dense.bias"]
         logits += self._w["top.weight"] @ hidden
         found, at = {}, 0

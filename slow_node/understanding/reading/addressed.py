@@ -2,20 +2,41 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from slow_node.understanding.intent_parser import IntentParser
+from slow_node.understanding.intent_parser import HEADS, IntentParser
+from slow_node.understanding.text import fold
 
 HEAD = Path(__file__).parents[2] / "weights" / "talk.safetensors"
 """Trained by `python -m slow_node.training.train_talk`."""
 
 FOR_US, PERHAPS = 0.5, 0.1
 """From this probability on a sentence is for the car; the likeliest of several from this one on, where none is."""
+DANGEROUS, REFUSED = 0.85, HEADS["outcome"].index("refused")
 MOST_SENTENCES = 12
 """A longer text is read as a whole."""
+
+_TO_OTHERS = re.compile(
+    r"\b(?:not you|(?:talk|speak)ing to (?:the|my) (?:@?car|driver)|(?:tell(?:ing)?|said (?:that|it) to) the @?car\b(?! to)|(?:was|is|were) (?:for|not for|n.t for) "
+    r"(?:the @?car|you)\b|nicht du\b|du nicht\b|(?:rede|spreche|sprach) (?:gerade )?mit dem @?(?:car|auto|wagen)|(?:furs|fur das) @?(?:car|auto)|"
+    r"pas toi\b|parl\w+ a la @?(?:car|voiture)|pour la @?(?:car|voiture)|a ti no\b|tu no\b,|habl\w+ con el @?(?:car|coche)|para el @?(?:car|coche)|"
+    r"non tu\b|parl\w+ con la @?(?:car|macchina)|per la @?(?:car|macchina)|nao es tu|falar com o @?(?:car|carro)|para o @?(?:car|carro)|"
+    r"jij niet|praat\w* (?:tegen|met) de @?(?:car|auto)|voor de @?(?:car|auto))"
+)
+_BETWEEN = re.compile(
+    r"^(?:(?:uh-?huh|mhm+|aha|yes|no|yeah|right|okay|ok|sorry|well|so)[ ,.]+)*(?:(?:just )?(?:one|1|a) (?:moment|second|sec|minute)|"
+    r"(?:hold|hang) on(?: (?:a|one|1) (?:moment|second|sec|minute))?|wait|what|pardon|sorry|excuse me|i.m (?:back|here|in the @?car|listening)|"
+    r"uh-?huh|hello|bye|see you(?: \w+)*|moment(?: mal)?(?: kurz)?|einen moment|augenblick|bis (?:heute abend|spater|gleich|morgen|dann)|"
+    r"(?:eine?|un|une|um|een) (?:instant|seconde|momento|segundo|attimo|ogenblikje|moment|momentje)|"
+    r"a (?:ce soir|demain|tout a l.heure|plus tard|dopo|stasera|domani)|hasta (?:la noche|luego|manana)|ate (?:logo|amanha|ja)|"
+    r"tot (?:vanavond|straks|morgen|zo))(?: please| bitte)?$"
+)
+_NAME = re.compile(r",\s*[A-Z\u00c0-\u00dd]\w+[.!?]*$")
+"""What is said to somebody else about the car, and what fills a telephone call."""
 
 
 class Addressed:
@@ -31,10 +52,13 @@ class Addressed:
             self._weight, self._bias = tensors["weight"], float(tensors["bias"][0])
 
     def probability(self, sentence: str) -> float:
-        """How likely a sentence is for the car."""
+        """How likely a sentence is for the car. What is likely to be a danger is never talk."""
         if self._weight is None:
             return 1.0
-        logit = float(np.concatenate(self._parser.features(sentence)) @ self._weight) + self._bias
+        features = self._parser.features(sentence)
+        if self._parser.heads(*features)["outcome"][REFUSED] >= DANGEROUS:
+            return 1.0
+        logit = float(np.concatenate(features) @ self._weight) + self._bias
         return float(1.0 / (1.0 + np.exp(-np.clip(logit, -30.0, 30.0))))
 
     def kept(self, parts: list[str], known: Callable[[str], bool]) -> list[str]:
@@ -44,8 +68,15 @@ class Addressed:
         """
         if self._weight is None or not 2 <= len(parts) <= MOST_SENTENCES:
             return parts
-        likely = [1.0 if known(part) else self.probability(part) for part in parts]
-        found = [part for part, p in zip(parts, likely, strict=True) if p >= FOR_US]
-        if found or max(likely) < PERHAPS:
-            return found
-        return [parts[int(np.argmax(likely))]]
+        likely = [0.0 if _talk(part) else 1.0 if known(part) else self.probability(part) for part in parts]
+        best = max(likely)
+        found = [number for number, p in enumerate(likely) if p >= FOR_US]
+        if found:
+            return parts[found[0] : found[-1] + 1]  # what is said between two of them belongs to them
+        return [] if best < PERHAPS else [parts[likely.index(best)]]
+
+
+def _talk(sentence: str) -> bool:
+    """Whether a sentence is talk by its words alone."""
+    text = fold(_NAME.sub("", sentence)).strip(" ,.!?;:-\u2026\u00bf\u00a1")
+    return _TO_OTHERS.search(text) is not None or _BETWEEN.match(text) is not None

@@ -240,7 +240,9 @@ def _sure(clause: Clause) -> _Sure | None:
                     says_more = len(left.split()) > LEFTOVER_WORDS or _JOINED.search(left)
                     if says_more and left != candidate:
                         rest = bare(f"{rest} {left}") if len(left.split()) > 2 else rest
-                    return _Sure(step, "", row.fields.get("open", False), _without(rest, candidate))
+                    return _Sure(
+                        step, "", row.fields.get("open", False), _without(rest, candidate[hit.start : hit.end])
+                    )
     return None
 
 

@@ -136,6 +136,7 @@ STRATEGIES: dict[str, st.SearchStrategy[m.Message]] = {
         seq=counts,
         inputs=st.lists(
             st.builds(m.Input, now_ns=counts, tick=counts)
+            | st.builds(m.Input, now_ns=counts, manner=st.lists(words, max_size=3).map(tuple))
             | st.builds(m.Input, now_ns=counts, refused=words, id=counts)
             | st.builds(
                 m.Input, now_ns=counts, found=st.builds(m.Found, slots=words, why=words, model_answered=st.booleans())
