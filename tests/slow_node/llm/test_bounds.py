@@ -10,9 +10,11 @@ import zlib
 from collections.abc import Callable
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from slow_node.llm.answer import MAX_ANSWER_CHARS, json_object, split_thoughts
-from slow_node.llm.errors import ModelError
+from slow_node.llm.errors import ModelError, http_error
 from slow_node.llm.model import ChatModel
 from slow_node.llm.transport import MAX_BODY_BYTES
 from tests.faulty_server import SLOWER, FaultyServer, answer
@@ -64,6 +66,35 @@ def test_a_flood_is_an_error_and_takes_a_few_megabytes_at_most(
     assert why in error
     # The server, in this process, has its own copies of what it sends; the bomb and the endless body it has not.
     assert peak < 12 * MAX_BODY_BYTES
+
+
+HEADERS: dict[str, tuple[int, dict[str, str]]] = {
+    **{
+        f"a pause of {pause[:9]}": (429, {"Retry-After": pause}) for pause in ("nan", "-inf", "1e400", "-5", "9" * 4000)
+    },
+    "colours": (503, {"Retry-After": "\x1b[31m\x9b2J"}),
+    "a place of its own": (307, {"Location": "\x1b]0;title\x07http://x/" + "y" * 5000}),
+    "an encoding in colours": (200, {"Content-Encoding": "\x1b[31mred" * 50}),
+    "a type": (200, {"Content-Type": "text/\xff; charset=none-such"}),
+    "many": (200, {f"X-{k}": "x" * 50 for k in range(90)}),
+}
+
+
+@pytest.mark.parametrize(("status", "headers"), HEADERS.values(), ids=HEADERS.keys())
+def test_whatever_stands_in_an_answer_s_headers_is_one_line_and_no_pause(
+    status: int, headers: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slow_node.llm.model.RETRY_PAUSE_S", 0.0)
+    with FaultyServer((status, headers, b"no JSON")) as server:
+        error = said(server.url)
+    assert error.isprintable()
+    assert len(error) < 500
+
+
+@given(st.text(max_size=30))
+def test_a_pause_that_a_server_asks_for_is_a_time(header: str) -> None:
+    error = http_error(429, retry_after=header)
+    assert 0.0 <= error.retry_after_s <= 3600.0
 
 
 @pytest.mark.parametrize("squeeze", [gzip.compress, zlib.compress])
