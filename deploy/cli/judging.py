@@ -251,6 +251,7 @@ def interpret(
             help="memory: the model with 0, 2, 4 recalled examples; mind: reader, model, both; chatter: within talk."
         ),
     ] = None,
+    every: Annotated[int, typer.Option(min=1, help="With --experiment chatter: only every so many-th command.")] = 1,
     half: Annotated[str, typer.Option(help="Of the talk: measure, or develop, which is for choosing by.")] = "measure",
     per_kind: Annotated[
         int | None, typer.Option(min=1, help="Only so many of each kind of the set, the same ones every time.")
@@ -293,7 +294,7 @@ def interpret(
             raise typer.BadParameter(f"{experiment}: choose from memory, mind, chatter", param_hint="'--experiment'")
         if half not in get_args(Half):
             raise typer.BadParameter(f"{half}: choose from {', '.join(get_args(Half))}", param_hint="'--half'")
-        raise typer.Exit(chatter_experiment(cast(Half, half), as_json=as_json, per_kind=per_kind, **told))
+        raise typer.Exit(chatter_experiment(cast(Half, half), as_json=as_json, per_kind=per_kind, every=every, **told))
     if which not in (*SETS, *EXAMS):
         raise typer.BadParameter(f"{which}: choose from {', '.join((*SETS, *EXAMS))}", param_hint="'--set'")
     if score and which in EXAMS:

@@ -20,9 +20,9 @@ from slow_node.understanding.intent_parser import IntentParser
 KEPT = ("n", "exact", "exact_ci95", "unsafe_recall", "refused_as_directive", "false_refusals")
 
 
-def chatter_experiment(half: Half, *, as_json: bool, per_kind: int | None, **options: Any) -> int:
-    """Score dev alone and in each of `WAYS`. Exit code."""
-    gold = labelled_set("dev", per_kind)
+def chatter_experiment(half: Half, *, as_json: bool, per_kind: int | None, every: int = 1, **options: Any) -> int:
+    """Score dev, or every so many-th command of it, alone and in each of `WAYS`. Exit code."""
+    gold = labelled_set("dev", per_kind)[::every]
     language_of = _languages()
     found = []
     try:
