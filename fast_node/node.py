@@ -14,7 +14,7 @@ from fast_node.tracks import Tracks
 from schemas.driving.episode import MILDEST, held
 from schemas.driving.features import Array, features
 from schemas.driving.intent import ANY_LANE, Intent
-from schemas.driving.road import LANE_END, LANE_WAY, LANE_Y, NOBODY, X, lane_table
+from schemas.driving.road import LANE_END, LANE_OPENS, LANE_WAY, LANE_Y, NOBODY, X, lane_table
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import POLICY_ACTIONS, Action, Closure, Directive, Event, MetaAction, Observation, Reason
 
@@ -191,6 +191,7 @@ class FastNode:
     def _logits(
         self, observation: Observation, table: Table, lanes: Lanes, intent: Intent, cap: float, reasons: list[int]
     ) -> Array:
+        own, aim, x = observation.target_lane, max(intent.lane, 0), table[0][X]
         return self._policy.logits(
             features(
                 table,
@@ -199,10 +200,16 @@ class FastNode:
                 intent.headway_s,
                 observation.target_speed_mps,
                 observation.previous_lane >= 0,
-                lanes[observation.target_lane][LANE_END] - table[0][X],
+                lanes[own][LANE_END] - x,
                 cap,
                 reasons[MetaAction.LEFT] == OPEN,
                 reasons[MetaAction.RIGHT] == OPEN,
+                own,
+                aim,
+                lanes[own][LANE_OPENS] - x,
+                lanes[aim][LANE_END] - x,
+                observation.goal_x_m - x,
+                min(lanes[own][LANE_WAY], lanes[aim][LANE_WAY]) < 0,
             )
         )
 

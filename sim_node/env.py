@@ -62,6 +62,7 @@ class _Features(ObservationType):  # type: ignore[misc]
         env: ScenarioEnv = self.env
         intent, ego = env.intent, env.ego
         lanes, table = env.published_lanes(), env.seen().tolist()
+        own, aim, x = lanes[ego.target_lane], lanes[max(intent.lane, 0)], table[0][X]
         return features(
             table,
             math.nan if intent.lane == ANY_LANE else lanes[intent.lane].y_m,
@@ -69,8 +70,14 @@ class _Features(ObservationType):  # type: ignore[misc]
             intent.headway_s,
             ego.target_speed,
             ego.previous_lane >= 0,
-            lanes[ego.target_lane].end_m - table[0][X],
+            own.end_m - x,
             ego.speed_cap,
+            lane=ego.target_lane,
+            aim=max(intent.lane, 0),
+            opens=own.change_from_m - x,
+            aim_ends=aim.end_m - x,
+            goal_left=env.scenario.end_x_m - x,
+            borrows=min(own.direction, aim.direction) < 0,
         )
 
 

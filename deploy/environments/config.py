@@ -33,10 +33,10 @@ Range = tuple[float, float]
 
 
 class Features(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="Features", tag_field="type"):
-    """The policy's input, (15, 19): see `schemas.driving.features`."""
+    """The policy's input, (15, 26): see `schemas.driving.features`."""
 
     flat: bool = False
-    """As one row of 285."""
+    """As one row of 390."""
 
 
 class Kinematics(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="Kinematics", tag_field="type"):

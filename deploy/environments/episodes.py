@@ -38,7 +38,7 @@ def action_space() -> spaces.Discrete[np.int64]:
 
 
 def features_space(flat: bool) -> spaces.Box:
-    """Of the policy's input, (15, 19) float32, or (285,)."""
+    """Of the policy's input, (15, 26) float32, or (390,)."""
     return spaces.Box(-BOUND, BOUND, (N_ROWS * len(FEATURES),) if flat else (N_ROWS, len(FEATURES)), np.float32)
 
 
@@ -154,7 +154,7 @@ class Episodes(Scenes):
         return done
 
     def seen(self) -> Array:
-        """(S, 15, 19) the policy's input, or (S, 285) as the configuration has it."""
+        """(S, 15, 26) the policy's input, or (S, 390) as the configuration has it."""
         x = self.observe()
         return x.reshape(len(x), -1) if self._config.flat else x
 

@@ -150,7 +150,7 @@ def drive(
     elif who.policy in WORDLESS:
         step = always(fleet, MetaAction.EMERGENCY_BRAKE if who.policy == "brake" else MetaAction.CRUISE)
     else:
-        driver = Driver(fleet, policy.logits)
+        driver = Driver(fleet, policy.logits, stateless=policy.stateless)
         step = by_the_tick(driver)
     if watch is not None:
         step = watch(fleet, driver, step)

@@ -58,7 +58,7 @@ class Drives:
         self._policy = model.policy
 
     def logits(self, x: np.ndarray) -> np.ndarray:
-        """(..., 15, 19) -> (..., 5)"""
+        """(..., 15, 26) -> (..., 5)"""
         flat = torch.as_tensor(np.asarray(x, np.float32).reshape(-1, *x.shape[-2:]))
         with torch.no_grad():
             out = self._policy.get_distribution(flat).distribution.logits.numpy()

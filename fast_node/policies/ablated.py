@@ -1,4 +1,4 @@
-"""The shipped policy with something taken away: what it sees, what it is told, what it has learnt. For comparison."""
+"""The shipped network with something taken away: what it sees, what it is told, what it has learnt. For comparison."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from schemas.runtime.process import ConfigError
 
 
 class BlindPolicy:
-    """The shipped policy that sees the ego alone."""
+    """The shipped network that sees the ego alone."""
 
     def __init__(self) -> None:
         self._policy = load_attention()
@@ -25,7 +25,7 @@ class BlindPolicy:
 
 
 class DeafPolicy:
-    """The shipped policy that is not told what is wished."""
+    """The shipped network that is not told what is wished."""
 
     def __init__(self) -> None:
         self._policy = load_attention()

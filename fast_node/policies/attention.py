@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fast_node.mask import PRESETS
 from fast_node.mask import VERSION as MASK_VERSION
 from fast_node.policies.checkpoint import read_checkpoint
-from schemas.driving.features import FEATURES, LAYOUT_HASH
+from schemas.driving.features import FEATURES, LAYOUT_HASH, LAYOUTS
 from schemas.runtime.process import ConfigError
 
 Array = NDArray[np.float32]
@@ -37,6 +37,7 @@ class AttentionPolicy:
         self._heads = int(str(sidecar["heads"]))
         layers = int(str(sidecar["layers"]))
         w = {name: array.astype(np.float64) for name, array in weights.items()}
+        self._features = w["embed.weight"].shape[1]
         self._embed, self._embed_bias = _floats(w["embed.weight"].T, w["embed.bias"])
         self._below = [_Layer(w, f"layers.{k}.", self._heads) for k in range(layers - 1)]
         self._fold(w, f"layers.{layers - 1}.")
@@ -72,6 +73,7 @@ class AttentionPolicy:
         return self._forward(x)[1]
 
     def _forward(self, x: Array) -> tuple[Array, Array]:
+        x = x[..., : self._features]
         present = x[..., PRESENCE] > 0
         z: Array = x @ self._embed + self._embed_bias  # (..., N, D), Eq. 11
         for layer in self._below:
@@ -143,9 +145,10 @@ def load_attention(path: Path = SHIPPED) -> AttentionPolicy:
     sidecar, weights = read_checkpoint(path)
     if (algorithm := sidecar.get("algorithm", "ours")) != "ours":
         raise ConfigError(f"{path.name} holds a baseline, {algorithm!r}: give the policy of `fastslow train`")
-    for name, want in (("layout_hash", LAYOUT_HASH), ("mask", MASK_VERSION)):
-        if sidecar.get(name) != want:
-            raise ConfigError(f"{path.name} has {name} {sidecar.get(name)!r}, this code {want!r}: train anew")
+    if (layout := sidecar.get("layout_hash")) not in LAYOUTS:
+        raise ConfigError(f"{path.name} has layout_hash {layout!r}, this code {LAYOUT_HASH!r}: train anew")
+    if (mask := sidecar.get("mask")) != MASK_VERSION:
+        raise ConfigError(f"{path.name} has mask {mask!r}, this code {MASK_VERSION!r}: train anew")
     if (preset := sidecar.setdefault("mask_preset", "sim")) not in PRESETS:
         raise ConfigError(f"{path.name} has mask_preset {preset!r}, this code {', '.join(PRESETS)}: train anew")
     found = len({name.split(".")[1] for name in weights if name.startswith("layers.")})

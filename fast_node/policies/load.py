@@ -12,6 +12,7 @@ from fast_node.policies.ablated import BlindPolicy, DeafPolicy, untrained_of
 from fast_node.policies.attention import SHIPPED, load_attention
 from fast_node.policies.checkpoint import read_sidecar
 from fast_node.policies.fixed import constant_of, random_of
+from fast_node.policies.gaps import GapPolicy
 from fast_node.policies.mlp import BASELINES, LEARNERS, VARIANTS, load_mlp, shipped
 from fast_node.policies.outsider import load_outsider, prove
 from fast_node.policies.policy import NamedPolicy
@@ -54,9 +55,16 @@ def _checkpoint(path: Path, _: str = "") -> NamedPolicy:
     return NamedPolicy(path.name, ours, str(ours.sidecar["mask_preset"]), sidecar=ours.sidecar)
 
 
+def _ours(_: str) -> NamedPolicy:
+    network = _checkpoint(SHIPPED)
+    return replace(network, policy=GapPolicy(network.policy))
+
+
 BUILT_IN: dict[str, Callable[[str], NamedPolicy]] = {
-    OURS: partial(_checkpoint, SHIPPED),
+    OURS: _ours,
+    "network": partial(_checkpoint, SHIPPED),
     "rule": lambda _: NamedPolicy("rule", RulePolicy()),
+    "rule-gaps": lambda _: NamedPolicy("rule-gaps", GapPolicy(RulePolicy())),
     "constant": lambda words: NamedPolicy("constant", constant_of(words)),
     "random": lambda seed: NamedPolicy("random", random_of(seed), stateless=False),
     "blind": lambda _: NamedPolicy("blind", BlindPolicy()),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fast_node.mask import VERSION as MASK_VERSION
 from fast_node.policies.checkpoint import read_checkpoint
-from schemas.driving.features import FEATURES, LAYOUT_HASH, N_ROWS
+from schemas.driving.features import FEATURES, LAYOUT_HASH, LAYOUTS, N_ROWS
 from schemas.runtime.process import ConfigError
 
 Array = NDArray[np.float32]
@@ -36,15 +36,16 @@ class MlpPolicy:
         self._layers = [
             (np.ascontiguousarray(weights[f"{k}.weight"].T), weights[f"{k}.bias"]) for k in range(len(weights) // 2)
         ]
+        self._features = len(self._layers[0][0]) // N_ROWS
         if not told(str(sidecar["variant"])):
-            first = self._layers[0][0].copy().reshape(N_ROWS, len(FEATURES), -1)
+            first = self._layers[0][0].copy().reshape(N_ROWS, self._features, -1)
             first[0, WISH] = 0.0  # as if the wish itself were zero
             self._layers[0] = first.reshape(self._layers[0][0].shape), self._layers[0][1]
         self._relu = sidecar["activation"] == "relu"
 
     def logits(self, x: Array) -> Array:
         """(..., N, F) -> (..., 5)"""
-        z = x.reshape(*x.shape[:-2], -1)
+        z = x[..., : self._features].reshape(*x.shape[:-2], -1)
         for weight, bias in self._layers[:-1]:
             z = z @ weight + bias
             z = np.maximum(z, 0) if self._relu else np.tanh(z)
@@ -73,9 +74,10 @@ def load_mlp(path: Path) -> MlpPolicy:
     if sidecar.get("algorithm") not in LEARNERS:
         raise ConfigError(f"{path.name} holds no baseline: train one with `fastslow train --algorithm`")
     mask = MASK_VERSION if masked(str(sidecar.get("variant"))) else None
-    for name, want in (("layout_hash", LAYOUT_HASH), ("mask", mask)):
-        if sidecar.get(name) != want:
-            raise ConfigError(f"{path.name} has {name} {sidecar.get(name)!r}, this code {want!r}: train it anew")
+    if (layout := sidecar.get("layout_hash")) not in LAYOUTS:
+        raise ConfigError(f"{path.name} has layout_hash {layout!r}, this code {LAYOUT_HASH!r}: train it anew")
+    if (found := sidecar.get("mask")) != mask:
+        raise ConfigError(f"{path.name} has mask {found!r}, this code {mask!r}: train it anew")
     try:
         return MlpPolicy(weights, sidecar)
     except (KeyError, IndexError, TypeError, ValueError) as error:

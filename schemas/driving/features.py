@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.driving.road import AGAINST_MPS, ID, LENGTH, VX, VY, X, Y
+from schemas.driving.road import AGAINST_MPS, ID, LANE, LENGTH, VX, VY, X, Y
 
 N_ROWS = 15
 FEATURES = (
@@ -36,6 +36,13 @@ FEATURES = (
     "cap",
     "left_open",
     "right_open",
+    "lane",
+    "length",
+    "opens",
+    "ends",
+    "aim_ends",
+    "goal_left",
+    "borrows",
 )
 """dx/50, dy/4, dv/5 relative to the ego [m, m/s]; closing: 1/TTC [1/s]; y_des: intended minus own lateral position / 4
 (for others 0: no prediction of their changes); v_des and set_point: minus own speed, / 5; headway [s] / 3; speed / 10;
@@ -62,8 +69,24 @@ right_open: whether a change to that side may begin."""
     CAP,
     LEFT_OPEN,
     RIGHT_OPEN,
+    LANE_OFF,
+    LENGTH_10,
+    OPENS,
+    ENDS,
+    AIM_ENDS,
+    GOAL_LEFT,
+    BORROWS,
 ) = range(len(FEATURES))
-LAYOUT_HASH = hashlib.sha256(",".join((str(N_ROWS), *FEATURES)).encode()).hexdigest()[:16]
+
+
+def layout_hash(features: int) -> str:
+    """Of the layout that has the first `features` columns."""
+    return hashlib.sha256(",".join((str(N_ROWS), *FEATURES[:features])).encode()).hexdigest()[:16]
+
+
+LAYOUT_HASH = layout_hash(len(FEATURES))
+LAYOUTS = {layout_hash(count): count for count in (19, len(FEATURES))}
+"""How many columns a policy reads, by the layout that its checkpoint states: columns are only ever appended."""
 
 Array = NDArray[np.float32]
 BOUND = 20.0
@@ -81,12 +104,19 @@ def policy_input(
     cap: float,
     left_open: bool,
     right_open: bool,
+    lane: int,
+    aim: int,
+    opens: float,
+    aim_ends: float,
+    goal_left: float,
+    borrows: bool,
     order: Any,
     out: Any,
 ) -> None:
     """Fill `out` (N, F) from rows (V, 9) in `ROW_COLUMNS` and the intent; absent vehicles are zero rows.
 
     y_des [m] is nan where no lane is intended; v_des, set_point, cap (inf: none) [m/s]; headway [s]; road_left [m];
+    lane: aimed for, aim: intended (`ANY_LANE`: none); opens, aim_ends, goal_left [m]: see `FEATURES`;
     order: (V,) working space of integers.
     """
     ego = rows[0]
@@ -120,6 +150,8 @@ def policy_input(
         o[ONCOMING] = 1.0 if row[VX] < AGAINST_MPS else 0.0
         o[CLOSING] = min(max(closing, -2.0), 2.0)
         o[SPEED] = min(max(row[VX] / 10.0, -BOUND), BOUND)
+        o[LANE_OFF] = min(max(row[LANE] - lane, -BOUND), BOUND)
+        o[LENGTH_10] = min(max(row[LENGTH] / 10.0, 0.0), BOUND)
     o = out[0]
     intended = math.isfinite(y_des)
     o[PRESENCE] = o[IS_EGO] = 1.0
@@ -135,6 +167,13 @@ def policy_input(
     o[CAP] = min(max((cap - vx) / 5.0, -4.0), 4.0)
     o[LEFT_OPEN] = 1.0 if left_open else 0.0
     o[RIGHT_OPEN] = 1.0 if right_open else 0.0
+    o[LANE_OFF] = aim - lane if intended else 0.0
+    o[LENGTH_10] = min(max(ego[LENGTH] / 10.0, 0.0), BOUND)
+    o[OPENS] = min(max(opens / 100.0, 0.0), BOUND)
+    o[ENDS] = min(max(road_left / 100.0, 0.0), BOUND)
+    o[AIM_ENDS] = min(max(aim_ends / 100.0, 0.0), BOUND)
+    o[GOAL_LEFT] = min(max(goal_left / 100.0, 0.0), BOUND)
+    o[BORROWS] = 1.0 if borrows else 0.0
 
 
 def features(
@@ -148,11 +187,34 @@ def features(
     cap: float = math.inf,
     left_open: bool = True,
     right_open: bool = True,
+    lane: int = 0,
+    aim: int = 0,
+    opens: float = 0.0,
+    aim_ends: float = math.inf,
+    goal_left: float = math.inf,
+    borrows: bool = False,
     n_rows: int = N_ROWS,
 ) -> Array:
     """`policy_input` as a new (n_rows, F) float32 array."""
     out = [[0.0] * len(FEATURES) for _ in range(n_rows)]
     policy_input(
-        rows, y_des, v_des, headway, set_point, changing, road_left, cap, left_open, right_open, [0] * len(rows), out
+        rows,
+        y_des,
+        v_des,
+        headway,
+        set_point,
+        changing,
+        road_left,
+        cap,
+        left_open,
+        right_open,
+        lane,
+        aim,
+        opens,
+        aim_ends,
+        goal_left,
+        borrows,
+        [0] * len(rows),
+        out,
     )
     return np.array(out, np.float32)

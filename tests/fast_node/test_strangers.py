@@ -115,7 +115,7 @@ def test_a_policy_that_was_slow_once_is_asked_directly_again_after_five_seconds_
             takes(0.0 if len(threads) > 1 else 11.0)
             return np.zeros(5, np.float32)
 
-    policy, x = WatchedPolicy(Hiccup(), 10.0), np.zeros((15, 19), np.float32)
+    policy, x = WatchedPolicy(Hiccup(), 10.0), np.zeros((15, 26), np.float32)
     for _ in range(TRUSTED_AGAIN + 2):
         policy.logits(x)
     assert threads[1:-1] == ["policy"] * TRUSTED_AGAIN
@@ -136,7 +136,7 @@ def test_a_policy_that_turns_slow_costs_one_tick_and_then_the_rule_answers_in_ti
                 release.wait(10.0)
             return np.zeros(5, np.float32)
 
-    policy, x = WatchedPolicy(Tiring(), 0.02), np.zeros((15, 19), np.float32)
+    policy, x = WatchedPolicy(Tiring(), 0.02), np.zeros((15, 26), np.float32)
     policy.logits(x)
     policy.logits(x)  # the slow one is noticed
     try:

@@ -38,7 +38,7 @@ def test_stable_baselines3_learns_and_its_policy_drives_the_live_car(
     earned, crashed = script.main([*few, *masked])
     assert math.isfinite(earned)
     assert crashed == 0.0  # behind the mask
-    logits = script.load().logits(np.zeros((3, 15, 19), np.float32))
+    logits = script.load().logits(np.zeros((3, 15, 26), np.float32))
     assert logits.shape == (3, 5)
     assert np.isfinite(logits).all()
 

@@ -1,0 +1,80 @@
+"""The choice of gap: which scenes it is for, what it finds, and that one scene and many are planned alike."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from fast_node.policies.gaps import GapPolicy, best_of
+from fast_node.policies.load import load_policy
+from fast_node.policies.plans import NEVER_S, PLANS, SPEEDS, plans, to_enter
+from fast_node.policies.rule import RulePolicy, rule_logits
+from schemas.driving.features import Array, features
+from schemas.wire.messages import MetaAction
+from tests.scenes import car
+
+WISHED, V = 30.0, 25.0
+
+
+def scene(
+    *others: list[float], aim: int = 1, ends: float = math.inf, borrows: bool = False, goal_m: float = 800.0
+) -> Array:
+    """(1, N, F): the ego in lane 0 at 25 m/s wishes to be in lane `aim`."""
+    rows = [car(0, 0.0, 0, V), *others]
+    x = features(rows, 4.0 * aim, WISHED, 1.2, V, False, ends, lane=0, aim=aim, goal_left=goal_m, borrows=borrows)
+    return x[None]
+
+
+def queue(gap_m: float, first_m: float = -100.0, count: int = 8, mps: float = 21.0) -> list[list[float]]:
+    """Cars of the lane to be entered, evenly spaced: bumper to bumper `gap_m`."""
+    return [car(1 + k, first_m + k * (gap_m + 5.0), 1, mps) for k in range(count)]
+
+
+def test_it_plans_only_where_a_lane_of_our_direction_is_to_be_entered_by_choice() -> None:
+    assert to_enter(scene(aim=1)) == [1]
+    assert to_enter(scene(aim=0)) == [0]
+    assert to_enter(scene(aim=1, ends=200.0)) == [0]
+    assert to_enter(scene(aim=1, borrows=True)) == [0]
+    assert to_enter(scene(aim=1, goal_m=5000.0)) == [0]
+
+
+def test_an_empty_lane_is_open_at_once_and_no_speed_is_given_up_for_it() -> None:
+    known = plans(scene(), np.array([1]))
+    assert known.open_s[0, 0] == 0.0
+    assert known.there[0].tolist() == [True] * SPEEDS + [False] * (PLANS - SPEEDS)
+    assert V <= best_of(known)[0] <= WISHED
+
+
+def test_a_lane_without_a_gap_never_opens_and_the_wished_speed_is_kept() -> None:
+    known = plans(scene(*queue(30.0), goal_m=300.0), np.array([1]))
+    assert (known.open_s == NEVER_S).all()
+    assert best_of(known) == pytest.approx(WISHED)
+
+
+def test_a_gap_beside_the_ego_is_not_driven_past() -> None:
+    others = [car(1, -60.0, 1, V), car(2, 48.0, 1, V), *[car(3 + k, 83.0 + 35.0 * k, 1, V) for k in range(4)]]
+    x = scene(*others)
+    assert best_of(plans(x, np.array([1]))) < WISHED
+    assert GapPolicy(RulePolicy()).logits(x[0]).argmax() == MetaAction.RIGHT  # the mask says when
+
+
+def test_many_scenes_are_planned_as_each_alone() -> None:
+    several = np.concatenate([scene(*queue(gap)) for gap in (30.0, 60.0, 75.0, 90.0)])
+    policy = GapPolicy(RulePolicy())
+    together = policy.logits(several)
+    for k, x in enumerate(several):
+        np.testing.assert_allclose(policy.logits(x), together[k])
+
+
+def test_elsewhere_the_base_decides() -> None:
+    x = scene(*queue(60.0), aim=0)
+    np.testing.assert_array_equal(GapPolicy(RulePolicy()).logits(x), rule_logits(x))
+
+
+def test_the_shipped_driver_is_the_network_with_a_choice_of_gap() -> None:
+    calm, choice = scene(*queue(60.0), aim=0), scene(*queue(75.0))
+    ours, network = load_policy(), load_policy("network")
+    np.testing.assert_array_equal(ours.logits(calm), network.logits(calm))
+    assert not np.array_equal(ours.logits(choice), network.logits(choice))
