@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import secrets
@@ -84,15 +85,12 @@ def run_system(
         print(f"fastslow: {error}", file=sys.stderr)
         return CONFIG
     except OSError as error:
-        if error.filename is None:
+        if error.errno == errno.EADDRNOTAVAIL:
             fix = "give the loopback device its address: ip address add 127.0.0.1/8 dev lo"
             print(f"fastslow: there is no {TCP_HOST} to listen on ({error.strerror}); {fix}", file=sys.stderr)
             return CONFIG
-        print(
-            f"fastslow: cannot write {error.filename}: {error.strerror}; run it in a folder of your own, and set "
-            "FASTSLOW_DATA to another one if need be",
-            file=sys.stderr,
-        )
+        fix = "run it in a folder of your own, and set FASTSLOW_DATA or TMPDIR to another one if need be"
+        print(f"fastslow: cannot write {error.filename or 'a file'}: {error.strerror}; {fix}", file=sys.stderr)
         return CONFIG
 
 

@@ -40,7 +40,7 @@ def test_a_run_without_a_folder_to_write_into_drives_without_logs_and_recording(
 
 
 def test_a_run_on_a_full_disk_drives_without_log_bank_and_recording_and_says_so(tmp_path: Path) -> None:
-    ended = drive(tmp_path, "/proc/none", 300)
+    ended = drive(tmp_path, "/proc/none", 600)  # what lets the nodes in takes 300 bytes
     assert (ended.returncode, json.loads(ended.stdout)["ticks"] > 0) == (OK, True), ended.stderr
     assert ended.stderr.count("the run goes on without logs") == 1
     assert "going on without what was remembered" in ended.stderr
