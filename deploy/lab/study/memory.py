@@ -42,6 +42,8 @@ from slow_node.understanding.reading.reader import ProgramReader
 DURATION_S, SAID_S = 40.0, 3.0
 EARLIER_SEEDS = 700_000
 """The earlier drives are on seeds from here on."""
+EARLIER_DRIVES = 5
+"""So many at most, until one was too much: in dense traffic none is."""
 LIKED_MPS, TOO_MUCH_MPS, NEAR_MPS = 5 / 3.6, 1.0, 1.0
 """What the second passenger likes; how much more is too much; and how near is right."""
 
@@ -183,8 +185,10 @@ def moderate(
     scenario: str, seed: int, reader: ProgramReader, memory: Memory, policy: NamedPolicy, remembers: bool
 ) -> dict[str, float]:
     """A "faster" of somebody for whom it was too much on an earlier drive."""
-    if remembers:
-        driven(scenario, EARLIER_SEEDS + seed, Slow(reader, memory, Moderate()), policy, 25.0)
+    for number in range(EARLIER_DRIVES if remembers else 0):
+        earlier = Slow(reader, memory, Moderate())
+        if len(driven(scenario, EARLIER_SEEDS + EARLIER_DRIVES * seed + number, earlier, policy).said) > 1:
+            break  # it was too much: that is what there is to learn
     passenger = Moderate()
     found = driven(scenario, seed, Slow(reader, memory, passenger), policy)
     return found.liked(passenger.wanted_mps)
