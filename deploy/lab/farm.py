@@ -6,6 +6,7 @@ by value, and numerical libraries have one thread everywhere.
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import multiprocessing
 import os
@@ -13,9 +14,17 @@ import signal
 import socket
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar
 
+import deploy
+import fast_node
+import schemas
+import sim_node
 from schemas.runtime.process import ConfigError, die_with_parent
 
 R = TypeVar("R")
@@ -52,6 +61,11 @@ def _in_processes(call: Callable[..., R], tasks: Sequence[tuple[Any, ...]], jobs
         running = {pool.submit(call, *task): place for place, task in enumerate(tasks)}
         for future in as_completed(running):
             yield running[future], future.result()
+    except BrokenProcessPool:
+        raise ConfigError(
+            "a process was killed while it worked (is there too little memory?): take fewer --jobs; the same command "
+            "goes on where it ended"
+        ) from None
     except BaseException:
         for process in multiprocessing.active_children():
             process.terminate()
@@ -78,8 +92,9 @@ def _on_ray(call: Callable[..., R], tasks: Sequence[tuple[Any, ...]], address: s
     if joined:
         _join(ray, address)
     try:
-        remote = ray.remote(num_cpus=1, max_retries=RETRIES, runtime_env={"env_vars": _ONE_THREAD})(call)
-        running = {remote.remote(*task): place for place, task in enumerate(tasks)}
+        remote = ray.remote(num_cpus=1, max_retries=RETRIES, runtime_env={"env_vars": _ONE_THREAD})(_as_here)
+        here = (code_digest(), os.getcwd(), call)
+        running = {remote.remote(*here, *task): place for place, task in enumerate(tasks)}
         while running:
             (done,), _ = ray.wait(list(running), num_returns=1)
             place = running.pop(done)
@@ -93,6 +108,27 @@ def _on_ray(call: Callable[..., R], tasks: Sequence[tuple[Any, ...]], address: s
     finally:
         if joined:
             ray.shutdown()
+
+
+def _as_here(code: str, folder: str, call: Callable[..., R], *task: Any) -> R:
+    """The task as it would run where it comes from: with the same code, and in the same folder, if there is one."""
+    if code_digest() != code:
+        raise ConfigError(f"{socket.gethostname()} has other code or weights of fastslow: install the same everywhere")
+    with suppress(OSError):
+        os.chdir(folder)
+    return call(*task)
+
+
+@cache
+def code_digest() -> str:
+    """Of all that drives and learns: source and weights."""
+    digest = hashlib.sha256()
+    for package in (schemas, sim_node, fast_node, deploy):
+        (folder,) = package.__path__
+        for path in sorted(Path(folder).rglob("*")):
+            if path.suffix in (".py", ".safetensors", ".json", ".toml"):
+                digest.update(str(path.relative_to(folder)).encode() + path.read_bytes())
+    return digest.hexdigest()
 
 
 def _join(ray: Any, address: str) -> None:

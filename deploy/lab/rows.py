@@ -15,19 +15,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import deploy
-import fast_node
-import schemas
-import sim_node
 from deploy.lab.agents import LANGUAGE, Agent, behind_the_mask, drive
 from deploy.lab.episodes import Directive
-from deploy.lab.farm import Farm
+from deploy.lab.farm import Farm, code_digest
 from deploy.lab.language_driver import drive_dilu, memory, running_model
 from deploy.lab.orders import BEST, best_order
+from fast_node.policies.load import BUILT_IN
 from schemas.runtime.process import ConfigError
 from sim_node.results import EpisodeResult
 from sim_node.scenarios import Scenario
 
+_ROW = b'{"cell": '
+"""How a line of a file of `Kept` begins."""
 Driven = tuple[list[EpisodeResult], dict[str, Any]]
 """An episode for every seed, and what else there is to say: the order that was best, what the language model did."""
 
@@ -130,7 +129,8 @@ def driven(cells: Sequence[Cell], farm: Farm, kept: Kept, progress: Callable[[st
 
 
 class Kept:
-    """A file with a row on each line. Rows of another state of the code or the weights do not count."""
+    """A file with a row on each line. Rows of another state of the code or the weights do not count. What a policy of
+    somebody else's code, or a language model, has driven is not kept: nobody knows whether it is the same."""
 
     def __init__(self, path: Path | None) -> None:
         """path: None: nothing is kept. Raises `ConfigError` for a file that cannot be used."""
@@ -138,27 +138,25 @@ class Kept:
         self._rows: dict[str, Driven] = {}
         if path is None:
             return
-        self._code = _digest_of_code()
+        self._code = code_digest()
         try:
-            whole = path.read_text("utf-8") if path.exists() else ""
-            lines = whole.splitlines(keepends=True)
-            if lines and not lines[-1].endswith("\n"):  # it was interrupted while it was written
-                lines.pop()
-                os.truncate(path, len("".join(lines).encode()))
+            lines, rest = _lines(path.read_bytes() if path.exists() else b"")
             for line in lines:
                 row = json.loads(line)
                 self._rows[row["cell"]] = ([EpisodeResult(**_read(e)) for e in row["episodes"]], row["more"])
+            if rest:  # it was interrupted while it was written
+                os.truncate(path, path.stat().st_size - len(rest))
         except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
             why = error.strerror if isinstance(error, OSError) else "it holds something else"
             raise ConfigError(f"{path} cannot be gone on with: {why}; name another file") from None
 
     def of(self, cell: Cell) -> Driven | None:
         """What came of a cell, if it is kept."""
-        return self._rows.get(self._name(cell)) if self._path else None
+        return self._rows.get(self._name(cell)) if self._path and is_kept(cell) else None
 
     def add(self, cell: Cell, found: Driven) -> None:
         """Keep it; it is on the disk's side when this returns."""
-        if self._path is None:
+        if self._path is None or not is_kept(cell):
             return
         results, more = found
         row = {"cell": self._name(cell), "episodes": [_plain(asdict(r)) for r in results], "more": more}
@@ -168,21 +166,26 @@ class Kept:
     def _name(self, cell: Cell) -> str:
         """Readable at its head; its tail is different for whatever might make its episodes different."""
         parts = [self._code, *(f"{f.name}={getattr(cell, f.name)!r}" for f in dataclasses.fields(cell))]
-        weights = (cell.checkpoint, Path(cell.agent) if cell.is_policy else None)
-        parts += [hashlib.sha256(p.read_bytes()).hexdigest() for p in weights if p is not None and p.is_file()]
+        for path in (cell.checkpoint, Path(cell.agent) if cell.is_policy else None):
+            if path is not None and path.is_file():
+                files = (path, path.with_suffix(".json"))
+                parts += [hashlib.sha256(p.read_bytes()).hexdigest() for p in files if p.is_file()]
         tail = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
         return f"{cell.agent} on {cell.scenario.name}, {cell.seeds}, {tail}"
 
 
-def _digest_of_code() -> str:
-    """Of all that drives: source and weights."""
-    digest = hashlib.sha256()
-    for package in (schemas, sim_node, fast_node, deploy):
-        (folder,) = package.__path__
-        for path in sorted(Path(folder).rglob("*")):
-            if path.suffix in (".py", ".safetensors", ".json", ".toml"):
-                digest.update(str(path.relative_to(folder)).encode() + path.read_bytes())
-    return digest.hexdigest()
+def is_kept(cell: Cell) -> bool:
+    """Whether who drives is known to the last bit: by a name of ours, or by a file of weights."""
+    name = cell.agent.partition(":")[0]
+    return not cell.asks_a_model and (not cell.is_policy or name in BUILT_IN or Path(cell.agent).is_file())
+
+
+def _lines(content: bytes) -> tuple[list[bytes], bytes]:
+    """The whole lines, and the beginning of a row at the end. Raises ValueError for an end that is something else."""
+    *lines, rest = content.split(b"\n")
+    if not (rest.startswith(_ROW) or _ROW.startswith(rest)):
+        raise ValueError(rest)
+    return lines, rest
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:

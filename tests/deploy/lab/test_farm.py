@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +13,7 @@ import pytest
 
 from deploy.lab import rows
 from deploy.lab.evaluate import evaluate_all
-from deploy.lab.farm import Farm
+from deploy.lab.farm import Farm, _as_here, code_digest
 from deploy.lab.learning import Training, run_on
 from deploy.lab.rows import Cell, Kept
 from deploy.lab.study import cells as study_cells
@@ -95,16 +97,51 @@ def test_a_row_of_other_conditions_does_not_count(other: dict[str, Any], tmp_pat
 
 def test_a_row_of_another_state_of_the_code_does_not_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Kept(tmp_path / "kept.jsonl").add(CELL, ([], {}))
-    monkeypatch.setattr(rows, "_digest_of_code", lambda: "another")
+    monkeypatch.setattr(rows, "code_digest", lambda: "another")
     assert Kept(tmp_path / "kept.jsonl").of(CELL) is None
 
 
-def test_a_file_that_holds_something_else_is_refused_and_left_alone(tmp_path: Path) -> None:
+@pytest.mark.parametrize("text", ["buy milk\n", "buy milk", '{"algorithm": "ours"}', "a,b\n1,2\n3,4", '{"cell": 1}\n'])
+def test_a_file_that_holds_something_else_is_refused_and_left_alone(text: str, tmp_path: Path) -> None:
     path = tmp_path / "notes.txt"
-    path.write_text("buy milk\n")
+    path.write_text(text)
     with pytest.raises(ConfigError, match="name another file"):
         Kept(path)
-    assert path.read_text() == "buy milk\n"
+    assert path.read_text() == text
+
+
+@pytest.mark.parametrize("other", [{"agent": "mine:load", "is_policy": True}, {"agent": "dilu-paused"}])
+def test_what_somebody_elses_code_or_a_language_model_has_driven_is_not_kept(
+    other: dict[str, Any], tmp_path: Path
+) -> None:
+    kept = Kept(tmp_path / "kept.jsonl")
+    kept.add(replace(CELL, **other), ([], {}))
+    assert not (tmp_path / "kept.jsonl").exists()
+
+
+def test_a_row_of_a_checkpoint_that_has_changed_does_not_count(tmp_path: Path) -> None:
+    path = tmp_path / "mine.safetensors"
+    path.write_bytes(b"1")
+    cell = replace(CELL, agent=str(path), is_policy=True)
+    Kept(tmp_path / "kept.jsonl").add(cell, ([], {}))
+    assert Kept(tmp_path / "kept.jsonl").of(cell) == ([], {})
+    path.write_bytes(b"2")
+    assert Kept(tmp_path / "kept.jsonl").of(cell) is None
+
+
+def die(_: int) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_process_that_is_killed_ends_the_work_with_one_line() -> None:
+    with pytest.raises(ConfigError, match="fewer --jobs"):
+        list(Farm(jobs=1).run(die, [(1,)]))
+
+
+def test_a_machine_with_other_code_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ConfigError, match="install the same"):
+        _as_here("another", ".", square, 2)
+    assert _as_here(code_digest(), ".", square, 2) == 4
 
 
 def test_a_cell_that_is_run_elsewhere_brings_all_its_files_home(tmp_path: Path) -> None:
