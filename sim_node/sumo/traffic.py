@@ -28,6 +28,7 @@ ANYWHERE = 2
 MOVES_M, STEEPEST = 0.02, 0.3
 """A front that moves less in a tick shows no direction; none is steeper than this [m/m]."""
 SEEDS_MAX = 2**31
+"""SUMO's own seeds are smaller than this."""
 DRIVERS = 7
 """Beside a seed: the generator that draws the cars' drivers."""
 
@@ -70,8 +71,9 @@ class Traffic:
         """The cars of a scene each, at time 0; the scenes' seeds are `first_seed` and those that follow it.
 
         A seed decides which driver each car has, and all that SUMO draws. ego_model: of the egos, where SUMO is to
-        drive them.
+        drive them. Raises ValueError for seeds that cannot be in one world.
         """
+        number = self._number(first_seed, len(spawns))
         models, known = [], list(MODELS)
         self.length[:], self._way[:], self._front[:] = CAR_LENGTH_M, 1.0, np.nan
         for s, spawn in enumerate(spawns):
@@ -81,7 +83,7 @@ class Traffic:
             self.length[s, 1:n] = spawn.manners[1:, CAR_LENGTH]
             self._way[s, :n] = spawn.direction
         with tempfile.TemporaryDirectory(prefix="fastslow-sumo-") as folder:
-            self._put_on_the_road(Path(folder), vehicles(self._scenario, spawns, models), first_seed)
+            self._put_on_the_road(Path(folder), vehicles(self._scenario, spawns, models), number)
         ceiling = self._scenario.ego.speed_ceiling_mps
         for s, spawn in enumerate(spawns):
             for i in range(len(spawn.x)):  # who starts faster than it likes to drive slows down from there
@@ -89,15 +91,30 @@ class Traffic:
                 self._sumo.vehicle.setMaxSpeed(f"{s}.{i}", wish)
         self._read()
 
-    def _put_on_the_road(self, folder: Path, cars: str, first_seed: int) -> None:
+    def _number(self, first_seed: int, scenes: int) -> int:
+        """SUMO's seed of the first scene: each lane draws from a generator of its own, and these have that number and
+        those after it.
+
+        What SUMO draws is the same again after `SEEDS_MAX // lanes` seeds, where its numbers end: no world goes on past
+        that, or a scene there would not be what it is alone. Raises ValueError for one that would.
+        """
+        fit = SEEDS_MAX // self._lanes
+        if (place := first_seed % fit) + scenes > fit:
+            start = first_seed - place + fit
+            raise ValueError(
+                f"seeds {first_seed}..{first_seed + scenes - 1} are not in one world of SUMO's on {self._scenario.name}: "
+                f"let {start - 1} be the largest, or begin with {start}"
+            )
+        return place * self._lanes
+
+    def _put_on_the_road(self, folder: Path, cars: str, number: int) -> None:
         """SUMO's world anew, with these vehicles; its files are in `folder` for so long."""
         files = folder / "road.net.xml", folder / "cars.rou.xml"
         for file, text in zip(files, (self._network, cars), strict=True):
             file.write_text(text)
         words = [
             *("-n", str(files[0]), "-r", str(files[1])),
-            # Each lane draws from a generator of its own, and these have the seed and the numbers after it.
-            *("--seed", str(first_seed * self._lanes % SEEDS_MAX), "--thread-rngs", str(self._lanes * self._scenes)),
+            *("--seed", str(number), "--thread-rngs", str(self._lanes * self._scenes)),
             *("--step-length", f"{1.0 / self._hz:.7f}", "--lanechange.duration", f"{CHANGE_S}"),
             *("--collision.action", "none", "--time-to-teleport", "-1", "--xml-validation", "never"),
             *("--no-step-log", "true", "--no-warnings", "true", "--duration-log.disable", "true"),

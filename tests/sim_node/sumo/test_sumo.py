@@ -76,6 +76,21 @@ def test_a_scene_depends_on_its_seed_and_on_no_other_scene(road: str) -> None:
         assert np.allclose(of_three[2], one[0], atol=1e-4)
 
 
+@pytest.mark.parametrize("beyond", [0, 1])
+def test_the_largest_seeds_too_depend_on_no_other_scene(beyond: int) -> None:
+    scenario, turn = SCENARIOS["highway"], 2**31 // 4  # where SUMO's numbers end, with four lanes
+    first = turn if beyond else turn - 3
+    together, alone = driven(world(scenario, first, 3), 60), driven(world(scenario, first + 2), 60)
+    for of_three, one in zip(together, alone, strict=True):
+        assert np.allclose(of_three[2], one[0], atol=1e-4)
+
+
+def test_seeds_that_sumo_cannot_tell_apart_in_one_world_are_refused_with_those_that_it_can() -> None:
+    turn = 2**31 // 4
+    with pytest.raises(ValueError, match=rf"let {turn - 1} be the largest, or begin with {turn}"):
+        world(SCENARIOS["highway"], turn - 1, 3)
+
+
 @pytest.mark.parametrize("road", ROADS)
 def test_the_live_simulator_and_many_scenes_at_once_are_one_world(road: str) -> None:
     actions = [MetaAction.LEFT, *[MetaAction.SPEED_UP] * 5, MetaAction.RIGHT, *[MetaAction.SLOW_DOWN] * 5]
