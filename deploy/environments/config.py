@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, Literal
@@ -30,6 +31,17 @@ AS_HIGHWAY_ENV = {
 }
 """highway-env's words for the same."""
 Range = tuple[float, float]
+SEED_MAX = 2**63 - 1
+"""Seeds are kept in 64 bits."""
+OF_VEHICLES = (
+    *("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d"),
+    *("long_off", "lat_off", "ang_off"),
+)
+"""What highway-env tells of a car."""
+OF_CELLS = (*OF_VEHICLES, "on_road")
+VEHICLES_MAX = 1000
+VALUES_MAX = 1_000_000
+"""Of a grid."""
 
 
 class Features(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="Features", tag_field="type"):
@@ -52,6 +64,11 @@ class Kinematics(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="K
     see_behind: bool = False
     include_obstacles: bool = True
 
+    def __post_init__(self) -> None:
+        _check_features(self, OF_VEHICLES)
+        if not 2 <= self.vehicles_count <= VEHICLES_MAX:  # for one, highway-env shows all that there are
+            raise ValueError(f"vehicles_count {self.vehicles_count} is not within 2..{VEHICLES_MAX}, the ego included")
+
 
 class OccupancyGrid(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="OccupancyGrid", tag_field="type"):
     """highway-env's observation of this name, with its options."""
@@ -64,6 +81,22 @@ class OccupancyGrid(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag
     align_to_vehicle_axes: bool = False
     clip: bool = True
     as_image: bool = False
+    """Bytes, for -1 to 1: 127 where nothing is. (highway-env's own are undefined there.)"""
+
+    def __post_init__(self) -> None:
+        _check_features(self, OF_CELLS)
+        if self.absolute:
+            raise ValueError("absolute True is not in highway-env's own OccupancyGrid: leave it out")
+        if not all(0.0 < step < math.inf for step in self.grid_step):
+            raise ValueError(f"grid_step {self.grid_step} is not two positive numbers of metres")
+        values = len(self.features)
+        for (low, high), step in zip(self.grid_size, self.grid_step, strict=True):
+            cells = (high - low) / step
+            if not 1.0 <= cells <= VALUES_MAX:
+                raise ValueError(f"grid_size {low}..{high} has no number of cells of {step} m within 1..{VALUES_MAX}")
+            values *= math.floor(cells)
+        if values > VALUES_MAX:
+            raise ValueError(f"grid_size {self.grid_size} has {values} values: take at most {VALUES_MAX}")
 
 
 class MetaActions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="MetaAction", tag_field="type"):
@@ -128,6 +161,9 @@ class EnvConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         if (self.noise_m or self.noise_mps or self.dropout) and not isinstance(self.observation, Features):
             raise ValueError("noise_m, noise_mps and dropout are of the Features: choose that observation")
         _refuse_unknown("reward", self.reward, Weights._fields)
+        for name, weight in self.reward.items():
+            if not math.isfinite(weight):
+                raise ValueError(f"reward.{name} {weight} is not a finite number")
 
     @property
     def flat(self) -> bool:
@@ -166,6 +202,25 @@ def check_lane(scenario: Scenario, directive: Directive) -> None:
         raise ValueError(f"directive: lane {directive.lane} is not one of 0..{len(scenario.lanes) - 1}")
 
 
+def check_seed(seed: object, beyond: int = 0) -> None:
+    """Raise ValueError for a seed that does not fit, with those up to `beyond` after it. What is no number is left to
+    Gymnasium to refuse."""
+    if isinstance(seed, int) and seed > SEED_MAX - beyond:
+        raise ValueError(f"seed {seed} is above {SEED_MAX - beyond}, the largest here")
+
+
+def _check_features(seen: Kinematics | OccupancyGrid, known: Sequence[str]) -> None:
+    """Raise ValueError for features that highway-env does not have, or ranges that scale nothing."""
+    if not seen.features:
+        raise ValueError(f"features are none: choose from {', '.join(known)}")
+    _refuse_unknown("features", seen.features, known)
+    ranges = seen.features_range or {}
+    _refuse_unknown("features_range", ranges, OF_VEHICLES)
+    for name, (low, high) in ranges.items():
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise ValueError(f"features_range.{name} {low}..{high} is not a finite range, the smaller first")
+
+
 def read(config: Mapping[str, Any] | None, options: Mapping[str, Any]) -> EnvConfig:
     """The settings that `config` and the keywords of `gymnasium.make` say. Raises ValueError for what is none."""
     said: dict[str, Any] = {}
@@ -187,7 +242,8 @@ def convert(said: Any, kind: type[Any]) -> Any:
         return msgspec.convert(msgspec.to_builtins(said, builtin_types=(float,)), kind)
     except (msgspec.ValidationError, TypeError) as error:
         text = str(error).replace("`$.", "`").replace("`", "'")
-        raise ValueError(f"{text}{_HINTS.get(_place(text), '')}") from None
+        ours = isinstance(error.__cause__, ValueError)  # it says already what would do
+        raise ValueError(text if ours else f"{text}{_HINTS.get(_place(text), '')}") from None
 
 
 def _place(text: str) -> str:
@@ -201,7 +257,7 @@ _HINTS = {
 }
 
 
-def _refuse_unknown(where: str, said: Mapping[str, Any], known: Sequence[str]) -> None:
+def _refuse_unknown(where: str, said: Iterable[str], known: Sequence[str]) -> None:
     for name in said:
         if name not in known:
             near = difflib.get_close_matches(str(name), known, 1)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from deploy.environments.config import Directive, Features, check_lane, convert, read
+from deploy.environments.config import Directive, Features, check_lane, check_seed, convert, read
 from deploy.environments.episodes import Episodes, action_of, action_space, features_space, one_of
 from deploy.environments.single import SEEDS
 from deploy.environments.world import RoadWorld
@@ -69,23 +68,25 @@ class DrivingParallelEnv(ParallelEnv):
         self._world = RoadWorld(env, cars)
         self._episodes = Episodes(self._world, self.scenario, self._config)
         self._generator: np.random.Generator | None = None
+        # The API asks for the same object every time, and each car's has a generator of its own.
+        self.observation_spaces = {car: features_space(self._config.flat) for car in self.possible_agents}
+        self.action_spaces = {car: action_space() for car in self.possible_agents}
 
-    @cache  # noqa: B019 - the API asks for the same object every time
     def observation_space(self, agent: str) -> spaces.Box:
         """Of every car: the policy's input."""
-        return features_space(self._config.flat)
+        return self.observation_spaces[agent]
 
-    @cache  # noqa: B019
     def action_space(self, agent: str) -> spaces.Discrete[np.int64]:
         """Of every car: the five meta-actions."""
-        return action_space()
+        return self.action_spaces[agent]
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Array], Infos]:
         """A new episode of all cars. options: {"directives": {car: {...}}}.
 
         Another option is left out with a warning, for PettingZoo's own test gives one. Raises ValueError for a car or a
-        directive that is none.
+        directive that is none, and for a seed whose cars' would be above 2**63 - 1.
         """
+        check_seed(seed, APART * (len(self.possible_agents) - 1))
         said = self._directives(options)
         if seed is not None or self._generator is None:
             self._generator = seeding.np_random(seed)[0]

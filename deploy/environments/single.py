@@ -11,7 +11,16 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from deploy.environments.config import Directive, Features, Kinematics, OccupancyGrid, check_lane, convert, read
+from deploy.environments.config import (
+    Directive,
+    Features,
+    Kinematics,
+    OccupancyGrid,
+    check_lane,
+    check_seed,
+    convert,
+    read,
+)
 from deploy.environments.episodes import Episodes, action_of, action_space, directive_of, features_space, one_of
 from deploy.environments.world import BatchedWorld, RoadWorld, SeededWorld, one_road
 from sim_node.scenarios import Scenario
@@ -53,6 +62,7 @@ class DrivingEnv(gymnasium.Env[Observation, int]):
         """Only where pictures or highway-env's own observations are made of it; else the batched engine is faster."""
         if render_mode is not None or not isinstance(seen, Features):
             asked = {k: list(v) if k == "features" else v for k, v in msgspec.structs.asdict(seen).items()}
+            asked.pop("as_image", None)  # see `_image`
             kind = {"type": type(seen).__struct_config__.tag, **asked}
             self._road = one_road(self.scenario, kind, render_mode, self._config.decision_hz)
         world: SeededWorld = self._road or BatchedWorld(self.scenario, 1, 0)
@@ -63,6 +73,7 @@ class DrivingEnv(gymnasium.Env[Observation, int]):
         if self._road is not None and not isinstance(seen, Features):
             self.observation_space = _bounded(self._road.env.observation_space, seen)
             self._observed_by = self._road.env
+        self._as_image = isinstance(seen, OccupancyGrid) and seen.as_image
         self._episodes = Episodes(world, self.scenario, self._config)
         self._running = False
 
@@ -71,8 +82,9 @@ class DrivingEnv(gymnasium.Env[Observation, int]):
     ) -> tuple[Observation, dict[str, Any]]:
         """A new episode: with a seed that very one, without one the next of this environment's own.
 
-        options: {"directive": {...}}, for this episode. Raises ValueError for others.
+        options: {"directive": {...}}, for this episode. Raises ValueError for others, and for a seed above 2**63 - 1.
         """
+        check_seed(seed)
         super().reset(seed=seed)
         directive = directive_of(options, self.scenario)
         number = int(self.np_random.integers(SEEDS)) if seed is None else seed
@@ -117,7 +129,8 @@ class DrivingEnv(gymnasium.Env[Observation, int]):
 
     def _observed(self) -> Observation:
         if self._observed_by is not None:
-            return np.asarray(self._observed_by.observation_type.observe())
+            seen = np.nan_to_num(self._observed_by.observation_type.observe())  # nan: what an obstacle has none of
+            return _image(seen) if self._as_image else seen
         return np.asarray(self._episodes.seen()[0])
 
     def _info(self) -> dict[str, Any]:
@@ -126,7 +139,14 @@ class DrivingEnv(gymnasium.Env[Observation, int]):
 
 def _bounded(space: Any, seen: Kinematics | OccupancyGrid) -> Any:
     """highway-env's space of this observation, which is unbounded, with bounds where clipping gives it some."""
-    scaled = seen.normalize if isinstance(seen, Kinematics) else not seen.as_image
+    if isinstance(seen, OccupancyGrid) and seen.as_image:
+        return gymnasium.spaces.Box(0, 255, space.shape, np.uint8)
+    scaled = seen.normalize if isinstance(seen, Kinematics) else True
     if scaled and seen.clip and seen.features_range is None and set(seen.features) <= BOUNDED:
         return gymnasium.spaces.Box(-1.0, 1.0, space.shape, np.float32)
     return space
+
+
+def _image(seen: Observation) -> NDArray[np.uint8]:
+    """-1 to 1 as bytes. highway-env casts its empty cells as nan, which the machine makes what it likes of."""
+    return ((np.clip(seen, -1.0, 1.0) + 1.0) * 127.5).astype(np.uint8)

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from deploy.environments.config import Features, read
+from deploy.environments.config import Features, check_seed, read
 from deploy.environments.episodes import NAMES, Episodes, Step, action_space, directive_of, features_space
 from deploy.environments.single import SEEDS
 from deploy.environments.world import BatchedWorld, Bools, Ints
@@ -65,12 +65,14 @@ class DrivingVectorEnv(VectorEnv[Array, Ints, NDArray[Any]]):
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
         """New episodes; seed: of the first scene, or one for each. options: {"directive": {...}} and Gymnasium's
-        {"reset_mask": (num_envs,) bool}. Raises ValueError for others."""
+        {"reset_mask": (num_envs,) bool}. Raises ValueError for others, and for seeds above 2**63 - 1."""
         asked = dict(options or {})
         which = self._mask(asked.pop(RESET_MASK, None))
         directive = directive_of(asked, self.scenario)
+        if isinstance(seed, int | np.integer):
+            check_seed(int(seed), self.num_envs - 1)
         seeds = (
-            [seed + k for k in range(self.num_envs)]
+            [int(seed) + k for k in range(self.num_envs)]
             if isinstance(seed, int | np.integer)
             else list(seed)
             if seed is not None
@@ -79,6 +81,7 @@ class DrivingVectorEnv(VectorEnv[Array, Ints, NDArray[Any]]):
         if len(seeds) != self.num_envs:
             raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments")
         for scene in np.flatnonzero(which):
+            check_seed(seeds[scene])
             if seeds[scene] is not None:
                 self._generators[scene] = seeding.np_random(seeds[scene])[0]
         self._begin(which, seeds, directive)

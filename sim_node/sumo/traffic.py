@@ -101,8 +101,9 @@ class Traffic:
         fit = SEEDS_MAX // self._lanes
         if (place := first_seed % fit) + scenes > fit:
             start = first_seed - place + fit
+            seeds = f"{first_seed}..{first_seed + scenes - 1}"
             raise ValueError(
-                f"seeds {first_seed}..{first_seed + scenes - 1} are not in one world of SUMO's on {self._scenario.name}: "
+                f"seeds {seeds} are not in one world of SUMO's on {self._scenario.name}: "
                 f"let {start - 1} be the largest, or begin with {start}"
             )
         return place * self._lanes

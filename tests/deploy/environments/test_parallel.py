@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import gc
 import warnings
+import weakref
 from typing import Any
 
 import numpy as np
@@ -138,3 +140,19 @@ def test_an_unknown_car_a_missing_action_and_a_bad_one_are_refused() -> None:
         env.step({"car_0": 1})
     with pytest.raises(ValueError, match="action 7 is not one of"):
         env.step({"car_0": 1, "car_1": 7})
+
+
+def test_the_spaces_are_the_same_objects_every_time_and_an_environment_that_is_let_go_is_gone() -> None:
+    env = DrivingParallelEnv("highway", 2)
+    assert env.observation_space("car_0") is env.observation_space("car_0")
+    assert env.action_space("car_1") is env.action_space("car_1")
+    assert env.action_space("car_0") is not env.action_space("car_1")
+    gone = weakref.ref(env)
+    del env
+    gc.collect()
+    assert gone() is None
+
+
+def test_a_seed_whose_cars_seeds_do_not_fit_is_refused_by_name() -> None:
+    with pytest.raises(ValueError, match="is above 9223372036853775804, the largest here"):
+        DrivingParallelEnv("highway", 2).reset(seed=2**63 - 1)

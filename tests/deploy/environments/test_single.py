@@ -18,6 +18,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
 import fastslow
+from deploy.environments.config import OF_VEHICLES
 from deploy.environments.single import DrivingEnv
 from deploy.environments.vector import DrivingVectorEnv
 from deploy.lab.training import scenes_of
@@ -242,12 +243,70 @@ def test_a_step_needs_an_episode() -> None:
         ({"decision_hz": 4}, "does not divide 15"),
         ({"mask": "none"}, "mask 'none' is not one of: sim, cautious; or None"),
         ({"noise_m": 1.0, "observation": {"type": "Kinematics"}}, "are of the Features"),
+        ({"reward": {"crash": float("nan")}}, "reward.crash nan is not a finite number"),
+        ({"reward": {"lane": float("inf")}}, "reward.lane inf is not a finite number"),
     ],
 )
 def test_what_is_no_setting_is_refused_by_name(said: dict[str, Any], why: str) -> None:
     with pytest.raises(ValueError) as refused:  # noqa: PT011
         DrivingEnv("highway", config=said)
     assert why in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "why"),
+    [
+        ("Kinematics", {"features": ["zz"]}, "no setting features.zz: choose from presence, x"),
+        ("Kinematics", {"features": ["on_road"]}, "no setting features.on_road"),
+        ("Kinematics", {"features": []}, "features are none: choose from presence, x"),
+        ("Kinematics", {"vehicles_count": 1}, "vehicles_count 1 is not within 2..1000"),
+        ("Kinematics", {"vehicles_count": -3}, "vehicles_count -3 is not within"),
+        ("Kinematics", {"vehicles_count": 10**9}, "vehicles_count 1000000000 is not within"),
+        ("Kinematics", {"features_range": {"speed": [0, 1]}}, "no setting features_range.speed"),
+        ("Kinematics", {"features_range": {"x": [0, 0]}}, "features_range.x 0.0..0.0 is not a finite range"),
+        ("OccupancyGrid", {"features": ["zz"]}, "no setting features.zz"),
+        ("OccupancyGrid", {"features_range": {"vx": [0, float("nan")]}}, "features_range.vx 0.0..nan is not"),
+        ("OccupancyGrid", {"grid_step": [0, 5]}, "grid_step (0.0, 5.0) is not two positive numbers"),
+        ("OccupancyGrid", {"grid_size": [[30, -30], [-10, 10]]}, "grid_size 30.0..-30.0 has no number of cells"),
+        ("OccupancyGrid", {"grid_size": [[0, 9e9], [-10, 10]]}, "grid_size 0.0..9000000000.0 has no number of cells"),
+        ("OccupancyGrid", {"grid_size": [[0, 9000], [0, 9000]]}, "take at most 1000000"),
+        ("OccupancyGrid", {"absolute": True}, "absolute True is not in highway-env's own OccupancyGrid"),
+    ],
+)
+def test_what_highway_envs_observations_cannot_do_is_refused_by_name(
+    kind: str, options: dict[str, Any], why: str
+) -> None:
+    with pytest.raises(ValueError) as refused:  # noqa: PT011
+        DrivingEnv("highway", observation={"type": kind, **options})
+    assert why in str(refused.value)
+
+
+@pytest.mark.parametrize("road", ["highway", "roadworks"])
+def test_every_feature_that_highway_env_has_may_be_seen_and_lies_in_the_space_beside_an_obstacle_too(road: str) -> None:
+    kind = {"type": "Kinematics", "features": OF_VEHICLES, "vehicles_count": 30, "see_behind": True}
+    env = DrivingEnv(road, observation=kind)
+    env.reset(seed=0)
+    assert env._road is not None
+    assert env._road.env.ego.to_dict().keys() == set(OF_VEHICLES)
+    for thing in driven(env, 0, [MetaAction.SPEED_UP] * 4 + [MetaAction.CRUISE] * 50):
+        if isinstance(thing, np.ndarray):
+            assert thing in env.observation_space
+
+
+def test_a_grid_as_an_image_is_the_grid_in_bytes() -> None:
+    env, plain = (DrivingEnv("highway", observation={**GRID, "as_image": image}) for image in (True, False))
+    (image, _), (grid, _) = (e.reset(seed=0) for e in (env, plain))
+    assert image in env.observation_space
+    assert set(np.unique(image[0])) == {127, 255}  # nobody, somebody
+    np.testing.assert_array_equal(image, ((grid + 1) * 127.5).astype(np.uint8))
+
+
+def test_the_largest_seed_has_an_episode_and_a_larger_one_is_refused_by_name() -> None:
+    for options in ({}, {"observation": KINEMATICS}):
+        env = DrivingEnv("highway", config=options)
+        env.reset(seed=2**63 - 1)
+        with pytest.raises(ValueError, match="seed 9223372036854775808 is above 9223372036854775807"):
+            env.reset(seed=2**63)
 
 
 @pytest.mark.parametrize("scenario", ["merge", "two-way", "highway-v0"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import pickle
 from typing import Any
 
@@ -119,10 +120,26 @@ def test_options_that_mean_nothing_are_refused(options: dict[str, Any], why: str
         DrivingVectorEnv(N, "highway").reset(seed=0, options=options)
 
 
-def test_a_copy_goes_on_as_the_original_does_and_wrappers_work() -> None:
-    env: Any = DrivingVectorEnv(N, "merge", duration_s=2.0)
+@pytest.mark.parametrize("mode", MODES)
+def test_a_copy_goes_on_as_the_original_does(mode: AutoresetMode) -> None:
+    env = DrivingVectorEnv(N, "two-way", duration_s=3.0, autoreset_mode=mode)
     env.reset(seed=1)
-    other = pickle.loads(pickle.dumps(env))
+    rng, ends = np.random.default_rng(0), 0
+    for _ in range(4):
+        env.step(rng.integers(0, 5, N))
+    copies = [pickle.loads(pickle.dumps(env)), copy.deepcopy(env)]
+    for _ in range(20):  # into the next episodes, whose seeds the copies draw alike
+        actions = rng.integers(0, 5, N)
+        step = env.step(actions)
+        for other in copies:
+            for ours, theirs in zip(step, other.step(actions), strict=True):
+                same(ours, theirs)
+        ends += int((step[2] | step[3]).sum())
+    assert ends > N
+
+
+def test_gymnasiums_wrappers_tell_an_episodes_length() -> None:
+    env: Any = DrivingVectorEnv(N, "merge", duration_s=2.0)
     wrapped = RecordEpisodeStatistics(env)
     wrapped.reset(seed=1)
     for _ in range(12):
@@ -130,6 +147,11 @@ def test_a_copy_goes_on_as_the_original_does_and_wrappers_work() -> None:
         if "episode" in infos:
             break
     assert infos["episode"]["l"].max() == 6
-    other.reset(seed=1)
-    for _ in range(3):
-        other.step(np.ones(N, np.int64))
+
+
+@pytest.mark.parametrize("seed", [2**63 - N + 1, np.int64(2**63 - 1), [0, 2**63, 1]])
+def test_seeds_that_do_not_fit_are_refused_by_name_and_the_largest_does(seed: Any) -> None:
+    env = DrivingVectorEnv(N, "highway")
+    env.reset(seed=2**63 - N)
+    with pytest.raises(ValueError, match=r"seed 92233720368547758\d\d is above 92233720368547758"):
+        env.reset(seed=seed)
