@@ -42,7 +42,10 @@ def carriers(inner: ZenohBus, outer: ZenohBus, config: DoorConfig) -> tuple[Carr
     named = {topic.name: topic for topic in topics.TOPICS}
     inward, outward = ([named[name] for name in names] for names in (config.inward, config.outward))
     return (
-        *(Carrier(topic, outer.subscribe_others(topic), inner.publish_bytes, refuse) for topic in inward),
+        *(
+            Carrier(topic, outer.subscribe_others(topic), inner.publish_bytes, refuse, config.stand_ins)
+            for topic in inward
+        ),
         *(Carrier(topic, told_of(topic), outer.publish_bytes) for topic in outward),
     )
 

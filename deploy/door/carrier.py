@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 from schemas.runtime.bus import BusError, Subscription
 from schemas.wire.codec import Fault, decode
+from schemas.wire.messages import Event, Status
+from schemas.wire.text import plain
 from schemas.wire.topics import COMMAND, Topic
 
 EVENTS_HZ = 20.0
@@ -33,16 +35,22 @@ def pace_of(topic: Topic[Any]) -> Pace:
     return Pace(2.0 * topic.hz if topic.hz else EVENTS_HZ, topic.depth)
 
 
-def why_not(topic: Topic[Any], payload: bytes) -> str:
-    """Why a payload from outside may not pass; "" where it may. A command need not be one of our messages."""
+def why_not(topic: Topic[Any], payload: bytes, stand_ins: Collection[str] = ()) -> str:
+    """Why a payload from outside may not pass; "" where it may. A command need not be one of our messages.
+
+    stand_ins: the only nodes in whose name an event or a status may come: another's would keep a node that hangs
+    "alive", or be taken for the supervisor's own voice.
+    """
     if len(payload) > topic.max_bytes:
         return f"{len(payload)} bytes exceed {topic.max_bytes}"
     if topic is COMMAND:
         return ""
     try:
-        decode(topic, payload)
+        message = decode(topic, payload)
     except Fault as fault:
         return str(fault)
+    if isinstance(message, (Event, Status)) and message.node not in stand_ins:
+        return f"nobody outside stands in for {plain(message.node, 40)!r}"
     return ""
 
 
@@ -55,11 +63,14 @@ class Carrier(threading.Thread):
         source: Subscription[bytes],
         put: Callable[[Topic[Any], bytes], None],
         refuse: Callable[[Topic[Any], str], None] | None = None,
+        stand_ins: Collection[str] = (),
     ) -> None:
-        """refuse: told why a payload does not pass; None: all pass, at any pace (what our own processes say)."""
+        """refuse: told why a payload does not pass; None: all pass, at any pace (what our own processes say).
+        stand_ins: see `why_not`.
+        """
         super().__init__(name=f"carry {topic.name}", daemon=True)
         self._topic, self._source, self._put, self._refuse = topic, source, put, refuse
-        self._pace = pace_of(topic)
+        self._stand_ins, self._pace = stand_ins, pace_of(topic)
         self.carried = 0
 
     def run(self) -> None:
@@ -69,7 +80,7 @@ class Carrier(threading.Thread):
             except BusError:
                 return
             if self._refuse is not None:
-                if why := why_not(self._topic, payload):
+                if why := why_not(self._topic, payload, self._stand_ins):
                     self._refuse(self._topic, why)
                     continue
                 time.sleep(self._pace.delay_s(time.monotonic()))

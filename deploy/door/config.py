@@ -18,6 +18,8 @@ class DoorConfig(NodeConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """The topics that it carries in, by name."""
     outward: tuple[str, ...] = ()
     """Those that it carries out."""
+    stand_ins: tuple[str, ...] = ()
+    """Nodes that somebody outside stands in for: an event or a status from there may name these alone."""
     polite: bool = True
     """It takes less of the processor than others; False where a node that drives is behind it."""
 

@@ -90,12 +90,17 @@ def car_name(name: str) -> str:
     return name
 
 
+def stand_ins_of(left_out: Collection[str]) -> tuple[str, ...]:
+    """The nodes that others may stand in for: those that do not run."""
+    return tuple(name for name in _DIRECT if name in left_out)
+
+
 def roles_of(door: DoorOptions, left_out: Collection[str] = ()) -> dict[str, Role]:
     """What those may who come through the door, by the common name of their certificate ("": whoever comes).
 
     left_out: our nodes that do not run. Others may stand in for these, and for no other.
     """
-    stand_ins = [name for name in _DIRECT if name in left_out]
+    stand_ins = stand_ins_of(left_out)
     if door.tls is not None:
         return {name: ROLES[name] for name in ("passenger", "operator", "recorder", *stand_ins)}
     roles = [ROLES[name] for name in ("passenger", *stand_ins)]

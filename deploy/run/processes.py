@@ -16,7 +16,7 @@ from platformdirs import user_data_path
 
 from deploy.run.launch import KEY, SECRETS, python_module
 from deploy.run.links import TCP_HOST as TCP_HOST
-from deploy.run.links import DoorOptions, Links, carried
+from deploy.run.links import DoorOptions, Links, carried, stand_ins_of
 from schemas.runtime.bus_settings import Tls
 from schemas.runtime.files import read_text_bounded
 from schemas.runtime.realtime import Mode
@@ -305,6 +305,7 @@ def door_process(links: Links) -> Process:
         "outside": links.outside(),
         "inward": [topic.name for topic in inward],
         "outward": [topic.name for topic in outward],
+        "stand_ins": stand_ins_of(links.left_out),
         "polite": polite,
     }
     return Process(

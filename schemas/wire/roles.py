@@ -34,6 +34,13 @@ NODES: dict[str, Topics] = {
 }
 """What each process of ours may put; it may read everything. The door brings what those behind it may put as well."""
 
+HEARS: dict[str, Topics] = {
+    "sim": (ACTION, CONTROL),
+    "fast": (OBSERVATION, DIRECTIVE),
+    "slow": (OBSERVATION, COMMAND, EVENT),
+}
+"""What the nodes that others may stand in for subscribe to; whoever stands in for one is told no more."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Role:
@@ -50,7 +57,7 @@ ROLES: dict[str, Role] = {
     "passenger": Role(puts=(COMMAND,), reads=SHOWN),
     "operator": Role(puts=(COMMAND, CONTROL), reads=(*SHOWN, THOUGHT)),
     "recorder": Role(reads=TOPICS),
-    **{name: Role(puts=NODES[name], reads=TOPICS) for name in ("sim", "fast", "slow")},
+    **{name: Role(puts=NODES[name], reads=HEARS[name]) for name in HEARS},
 }
 """By the common name of a certificate. Who comes without one, on loopback, is a passenger."""
 

@@ -11,7 +11,7 @@ from schemas.runtime.local_bus import LocalBus
 from schemas.runtime.process import ConfigError, load_config
 from schemas.wire import topics
 from schemas.wire.codec import encode
-from schemas.wire.messages import Directive
+from schemas.wire.messages import Directive, Event, EventKind, Status
 
 
 def test_after_a_burst_only_so_many_a_second_pass() -> None:
@@ -30,6 +30,15 @@ def test_any_other_topic_takes_only_its_own_messages() -> None:
     good = Directive(epoch=1, stamp_ns=0, id=1, command_id=1, scene_tick=0)
     assert why_not(topics.DIRECTIVE, encode(good)) == ""
     assert "not a Directive" in why_not(topics.DIRECTIVE, b"please slow down")
+
+
+@pytest.mark.parametrize("node", ["sim", "supervisor", "slow", ""])
+def test_an_event_and_a_status_pass_in_the_name_of_a_stand_in_and_of_nobody_else(node: str) -> None:
+    for name, may in ((node, False), ("fast", True)):
+        status = Status(epoch=0, stamp_ns=0, node=name, pid=1, seq=0, state="ready")
+        event = Event(epoch=0, stamp_ns=0, kind=EventKind.WORLD, node=name, tick=0)
+        for topic, message in ((topics.STATUS, status), (topics.EVENT, event)):
+            assert (why_not(topic, encode(message), ("fast",)) == "") is may
 
 
 def test_what_may_not_pass_is_named_and_what_follows_it_still_passes() -> None:

@@ -11,10 +11,11 @@ from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import psutil
 import pytest
 
-from deploy.run.launch import children
+from deploy.run.launch import Launched, children
 from deploy.run.links import TCP_HOST, DoorOptions, Links
 from deploy.run.processes import door_process, free_port
 from schemas.runtime.bus import BusConfig, BusError, ZenohBus, open_bus
@@ -33,7 +34,7 @@ class Between:
 
     inside: ZenohBus
     port: int
-    pid: int
+    door: Launched
 
     def user(self) -> BusConfig:
         return BusConfig(mode="client", connect=(f"tcp/{TCP_HOST}:{self.port}",))
@@ -50,7 +51,7 @@ def start(stack: ExitStack, left_out: frozenset[str] = frozenset()) -> Between:
     launch = stack.enter_context(children())
     door = launch("door", door_process(links).argv, folder / "door.jsonl")
     until(lambda: beats.peek() is not None, f"no door: {door.trouble()}")
-    return Between(inside, port, door.pid)
+    return Between(inside, port, door)
 
 
 @pytest.fixture(scope="module")
@@ -115,12 +116,57 @@ def test_where_our_fast_node_is_left_out_another_may_drive_through_the_door_and_
     with ExitStack() as stack:
         between = start(stack, frozenset({"fast"}))
         heard = {t.name: between.inside.subscribe_bytes(t) for t in (topics.ACTION, topics.DIRECTIVE, topics.CONTROL)}
+        beats, events = between.inside.subscribe(topics.STATUS), between.inside.subscribe(topics.EVENT)
         user = stack.enter_context(open_bus(between.user()))
         action = Action(epoch=1, stamp_ns=0, answers_tick=1, meta_action=int(MetaAction.CRUISE), source="policy")
         for topic in (topics.DIRECTIVE, topics.CONTROL):
             user.publish_bytes(topic, b"hello")
         until_it_comes(lambda: user.publish(topics.ACTION, action), lambda: heard["action"].peek())
         assert {name for name, reader in heard.items() if reader.peek() is not None} == {"action"}
+
+        said, happened = set[str](), set[str]()
+
+        def speak() -> None:
+            for name in ("sim", "supervisor", "fast"):
+                user.publish(topics.STATUS, Status(epoch=0, stamp_ns=0, node=name, pid=1, seq=0, state="ready"))
+                user.publish(topics.EVENT, msgspec.structs.replace(event(1), node=name))
+
+        def both() -> bool:
+            said.update(beat.node for beat in beats.take())
+            happened.update(one.node for one in events.take())
+            return "fast" in said and "fast" in happened
+
+        until_it_comes(speak, both)
+        for _ in range(20):
+            speak()
+            time.sleep(0.02)
+            both()
+        assert (said, happened) == ({"door", "fast"}, {"fast"})
+
+
+@pytest.mark.parametrize(
+    ("left_out", "more"), [("fast", set()), ("sim", {"control"}), ("slow", {"command"})], ids=["fast", "sim", "slow"]
+)
+def test_where_a_node_is_left_out_users_are_told_what_it_subscribes_to_and_nothing_else(
+    left_out: str, more: set[str]
+) -> None:
+    with ExitStack() as stack:
+        between = start(stack, frozenset({left_out}))
+        user = stack.enter_context(open_bus(between.user()))
+        everything = user.subscribe_all(512)
+        told, wanted = set[str](), {topic.name for topic in SHOWN} | more
+
+        def all_told() -> bool:
+            for topic in TOPICS:
+                between.inside.publish_bytes(topic, b"inside")
+            time.sleep(0.02)
+            told.update(arrival.topic for arrival in everything.take())
+            return told >= wanted
+
+        until(all_told, "something is not told that should be")
+        for _ in range(20):
+            all_told()
+        assert told == wanted
 
 
 def honest(between: Between, words: bytes) -> None:
@@ -138,14 +184,14 @@ def honest(between: Between, words: bytes) -> None:
 
 @pytest.mark.parametrize("size", [4_000, 100_000, 1_000_000, 10_000_000])
 def test_a_message_that_is_too_long_does_not_come_in_and_costs_little_memory(between: Between, size: int) -> None:
-    heard, before = between.inside.subscribe_bytes(topics.COMMAND), psutil.Process(between.pid).memory_info().rss
+    heard, before = between.inside.subscribe_bytes(topics.COMMAND), psutil.Process(between.door.pid).memory_info().rss
     with open_bus(between.user()) as user:
         for _ in range(3):
             user.publish_bytes(topics.COMMAND, b"x" * size)
             time.sleep(0.05)
         honest(between, b"after %d" % size)
     assert max(map(len, heard.take())) < 100
-    assert psutil.Process(between.pid).memory_info().rss - before < 20_000_000
+    assert psutil.Process(between.door.pid).memory_info().rss - before < 20_000_000
 
 
 def test_thousands_of_half_open_connections_keep_the_door_alive_and_it_serves_on(between: Between) -> None:
@@ -157,5 +203,5 @@ def test_thousands_of_half_open_connections_keep_the_door_alive_and_it_serves_on
             if number % 2:
                 with suppress(OSError):
                     one.send(b"\x05\x00")  # the beginning of a message that never ends
-        until(lambda: psutil.pid_exists(between.pid))
+        assert not between.door.trouble()
     honest(between, b"after the storm")
