@@ -20,8 +20,11 @@ from schemas.runtime.bus import BusConfig
 from schemas.runtime.bus_settings import Grant, Tls
 from schemas.runtime.errors import ConfigError
 from schemas.wire.roles import NODES, ROLES, Role, Topics, own
+from schemas.wire.topics import COMMAND, CONTROL
 
 TCP_HOST = "127.0.0.1"
+WORDS_HZ = 10.0
+"""Of one user at the door: half of what the door carries, so that one alone leaves room for the others."""
 _DIRECT = ("sim", "fast", "slow")
 """These link to each other; all others meet at the supervisor's router."""
 
@@ -200,6 +203,7 @@ class Links:
                 namespace=self.door.name,
                 tls=self.door.tls,
                 grants=grants,
+                most_hz={topic.key: WORDS_HZ for topic in (COMMAND, CONTROL)},
                 for_strangers=True,
             )
         )

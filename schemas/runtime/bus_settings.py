@@ -54,6 +54,9 @@ class BusConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A file with a line `NAME:PASSWORD` for each who may link to us; "": everybody may."""
     grants: tuple[Grant, ...] = ()
     """What the others may say and hear; whoever is granted nothing, nothing. Empty: everybody everything."""
+    most_hz: dict[str, float] = {}
+    """Keys of which no link may bring more a second, evenly spaced; what comes sooner is dropped. zenoh does not say
+    who has sent a message, so one who floods can be told from the others here alone."""
     tls: Tls | None = None
     for_strangers: bool = False
     """It listens where strangers come: an unfinished handshake, a long message and an idle link cost it little."""
@@ -99,6 +102,9 @@ def zenoh_settings(config: BusConfig) -> dict[str, object]:
         settings["transport/link/rx/max_message_size"] = STRANGERS_MESSAGE_BYTES
         settings["transport/unicast/accept_timeout"] = STRANGERS_HANDSHAKE_MS
         settings["transport/unicast/accept_pending"] = STRANGERS_PENDING
+    if config.most_hz:
+        rules = [{"key_expr": _named(config, key), "freq": hz} for key, hz in config.most_hz.items()]
+        settings["downsampling"] = [{"flows": ["ingress"], "messages": ["put"], "rules": rules}]
     return settings | _logins(config) | _tls(config.tls) | _access(config)
 
 
@@ -131,11 +137,15 @@ def _tls(tls: Tls | None) -> dict[str, object]:
     }
 
 
+def _named(config: BusConfig, key: str) -> str:
+    """A key as it is on the wire."""
+    return f"{config.namespace}/{key}" if config.namespace else key
+
+
 def _access(config: BusConfig) -> dict[str, object]:
     """zenoh's access control: what no rule allows is dropped on its way in or out, and nobody is told."""
     if not config.grants:
         return {}
-    before = f"{config.namespace}/" if config.namespace else ""
     rules: list[dict[str, object]] = []
     subjects: list[dict[str, object]] = []
     policies: list[dict[str, object]] = []
@@ -149,8 +159,8 @@ def _access(config: BusConfig) -> dict[str, object]:
 
     for number, grant in enumerate(config.grants):
         granted: list[str] = []
-        rule("ingress", "put", [before + key for key in grant.puts], granted)
-        rule("egress", "put", [before + key for key in grant.reads], granted)
+        rule("ingress", "put", [_named(config, key) for key in grant.puts], granted)
+        rule("egress", "put", [_named(config, key) for key in grant.reads], granted)
         rule("egress", "declare_subscriber", ["**"], granted)
         # Anybody may ask for anything: `**` asks for what one may read, too. What is told is decided above.
         rule("ingress", "declare_subscriber", ["**"], granted)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import socket
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, suppress
@@ -192,6 +193,30 @@ def test_a_message_that_is_too_long_does_not_come_in_and_costs_little_memory(bet
         honest(between, b"after %d" % size)
     assert max(map(len, heard.take())) < 100
     assert psutil.Process(between.door.pid).memory_info().rss - before < 20_000_000
+
+
+def test_one_who_floods_silences_nobody_else(between: Between) -> None:
+    heard, came, ended = between.inside.subscribe_bytes(topics.COMMAND), set[bytes](), threading.Event()
+
+    def flood() -> None:
+        with open_bus(between.user()) as user:
+            while not ended.wait(0.005):
+                for _ in range(20):
+                    user.publish_bytes(topics.COMMAND, b"me")
+
+    flooder = threading.Thread(target=flood)
+    flooder.start()
+    try:
+        until(lambda: b"me" in heard.take())
+        for number in range(15):
+            words = b"honest %d" % number
+            with open_bus(between.user()) as user:
+                assert user.wait_for_reader(topics.COMMAND, 30.0)
+                user.publish_bytes(topics.COMMAND, words)
+                until(lambda: came.update(heard.take()) or words in came, "an honest word is lost")  # noqa: B023
+    finally:
+        ended.set()
+        flooder.join()
 
 
 def test_thousands_of_half_open_connections_keep_the_door_alive_and_it_serves_on(between: Between) -> None:
