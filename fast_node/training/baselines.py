@@ -15,6 +15,7 @@ MaskablePPO, with PPO's settings, is told which actions are closed and never cho
 from __future__ import annotations
 
 import inspect
+import math
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -92,6 +93,12 @@ CHOSEN["maskable-ppo"], _ADAM["maskable-ppo"] = CHOSEN["ppo"], _ADAM["ppo"]
 KINDS: dict[str, Any] = {"ppo": PPO, "a2c": A2C, "dqn": DQN, "maskable-ppo": MaskablePPO}
 OURS_TO_SAY = {"self", "policy", "env", "seed", "device", "verbose", "tensorboard_log", "policy_kwargs"}
 """Arguments of stable-baselines3 that are no settings."""
+COUNTS = {
+    *("n_steps", "batch_size", "n_epochs", "buffer_size", "train_freq", "gradient_steps"),
+    *("target_update_interval", "stats_window_size"),
+}
+SHARES = {"gamma", "gae_lambda", "tau", "exploration_fraction", "exploration_initial_eps", "exploration_final_eps"}
+POSITIVE = {"learning_rate", "clip_range", "clip_range_vf", "target_kl", "max_grad_norm", "rms_prop_eps"}
 WIDTH = 128
 LOG_EVERY = 1024
 """Decisions between two rows of figures."""
@@ -183,6 +190,31 @@ def known_settings(algorithm: str) -> list[str]:
     return [n for n in names if n not in OURS_TO_SAY and n[0] != "_" and not n.endswith(("_class", "_kwargs"))]
 
 
+def check_settings(changes: Mapping[str, Any], steps: int) -> None:
+    """Raise ValueError for a number with which nothing, or nonsense, would be learned: the library takes most of them.
+
+    What is no number is left to the library to refuse.
+    """
+    for name, value in changes.items():
+        if not isinstance(value, int | float):
+            continue
+        wanted = ""
+        if name in COUNTS:
+            every = name == "gradient_steps" and value == -1  # as many as there were transitions
+            if not ((isinstance(value, int) and value >= 1) or every):
+                wanted = "a whole number above 0"
+        elif name in SHARES and not 0 <= value <= 1:
+            wanted = "within 0..1"
+        elif name in POSITIVE and not 0 < value < math.inf:
+            wanted = "a positive number"
+        elif name == "learning_starts" and not 0 <= value < steps:
+            wanted = f"within 0..{steps - 1}, before the last step"
+        elif not math.isfinite(value):
+            wanted = "a finite number"
+        if wanted:
+            raise ValueError(f"{name} {value} is not {wanted}")
+
+
 def learn(
     algorithm: str,
     scenes: Mixed,
@@ -201,11 +233,13 @@ def learn(
 
     trial: one of TRIALS, instead of the chosen one; changes: of these settings, by their names in stable-baselines3.
 
-    Returns the mean return and the share of crashes of its last 200 episodes, if any came to an end.
+    Returns the mean return and the share of crashes of its last 200 episodes, if any came to an end. Raises ValueError
+    for a setting that is of no use.
 
     `watch` is called with the decisions made so far and the policy of that moment, before the first and after each;
     `log` with them and the figures of that moment, now and then.
     """
+    check_settings(changes or {}, steps)
     torch.set_num_threads(1)
     env = VecScenes(scenes, variant)
     settings = {**settings_of(algorithm, trial), **(changes or {})}
@@ -218,7 +252,7 @@ def learn(
             **settings,
             policy_kwargs={"net_arch": [WIDTH, WIDTH], **_ADAM[algorithm]},
         )
-    except (TypeError, AssertionError) as error:
+    except (TypeError, AssertionError, MemoryError) as error:
         raise ValueError(f"{algorithm} does not take {changes}: {error}") from None
     sidecar = {"algorithm": algorithm, "variant": variant, "activation": "relu" if algorithm == "dqn" else "tanh"}
 

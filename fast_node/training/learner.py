@@ -32,7 +32,9 @@ class LearnerConfig:
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
-            if not 0 <= value < math.inf or (name in ("epochs", "minibatch") and value < 1):
+            least = {"epochs": 1, "minibatch": 1}.get(name, 0)
+            none = name in ("clip", "max_grad_norm") and value == 0  # nothing would be learned
+            if not least <= value < math.inf or none:
                 raise ValueError(f"{name} {value} is not a positive number")
         for name in ("gamma", "lam"):
             if not getattr(self, name) <= 1:
