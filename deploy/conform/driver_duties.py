@@ -8,7 +8,7 @@ from statistics import median
 
 from deploy.conform.driver_drive import NEWER, OTHER, Showing, Shown
 from deploy.conform.simulator_duties import TOLERATED, Wrong
-from deploy.conform.verdict import Duty
+from deploy.conform.verdict import Duty, budget_text
 from schemas.runtime.clock import NS
 
 CLOCKS_NS = 1_000_000
@@ -20,7 +20,8 @@ Judge = Callable[[Showing], str]
 def duties(showing: Showing) -> list[Duty]:
     """A verdict per duty."""
     out = []
-    for name, asks, judge in DUTIES:
+    for name, text, judge in DUTIES:
+        asks = text.format(budget=budget_text(showing.budget_ns))
         try:
             if not showing.came and judge is not readable:
                 raise Wrong("no action came")
@@ -80,7 +81,7 @@ def in_time(showing: Showing) -> str:
     late = sum(ns > showing.budget_ns for ns in took)
     middle = f"{median(took) / 1e6:.1f} ms at the median"
     if late > TOLERATED * len(took):
-        raise Wrong(f"{late} of {len(took)} answers came after {showing.budget_ns / 1e6:.0f} ms; {middle}")
+        raise Wrong(f"{late} of {len(took)} answers came after {budget_text(showing.budget_ns)}; {middle}")
     return f"{middle}, {late} of {len(took)} late"
 
 
@@ -144,7 +145,7 @@ DUTIES: tuple[tuple[str, str, Judge], ...] = (
     ("readable", "maps of protocol 3 with finite numbers within their bounds", readable),
     ("each tick", "every observation is answered, with its tick and epoch", each_tick),
     ("once", "one action per observation, none unasked", once),
-    ("late", "within 20 ms of the publication", in_time),
+    ("late", "within {budget} of the publication", in_time),
     ("epochs", "a new epoch is answered with that epoch", epochs),
     ("stamps", "CLOCK_MONOTONIC", stamps),
     ("closed", "no action that it closes itself", closed),

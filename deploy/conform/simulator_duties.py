@@ -9,7 +9,7 @@ from itertools import pairwise
 from statistics import median
 
 from deploy.conform.simulator_drive import Drive, Step, told_of
-from deploy.conform.verdict import Duty
+from deploy.conform.verdict import Duty, budget_text
 from schemas.driving.measures import SPEED_STEP_MPS
 from schemas.driving.road import HZ, ID, VX, VY, X, Y
 from schemas.runtime.clock import NS
@@ -45,7 +45,8 @@ def duties(drive: Drive) -> list[Duty]:
     steps = drive.steps
     pairs = [(a, b) for a, b in pairwise(steps) if a.seen.epoch == b.seen.epoch and b.seen.tick == a.seen.tick + 1]
     out = []
-    for name, asks, judge in DUTIES:
+    for name, text, judge in DUTIES:
+        asks = text.format(budget=budget_text(drive.budget_ns))
         try:
             if not steps and judge is not readable:
                 raise Wrong("no observation could be read")
@@ -273,7 +274,7 @@ def strays(drive: Drive, pairs: Sequence[Pair]) -> str:
 
 
 def late(drive: Drive, pairs: Sequence[Pair]) -> str:
-    for phase, what in (("late", f"{drive.budget_ns / 1e6:.0f} ms"), ("short", "its own budget_ns")):
+    for phase, what in (("late", budget_text(drive.budget_ns)), ("short", "its own budget_ns")):
         tried = [(a, b) for a, b in pairs if a.phase == phase and a.answer is None]
         used = [a for a, b in tried if b.seen.applied_tick == a.seen.tick]
         if used:
@@ -316,6 +317,6 @@ DUTIES: tuple[tuple[str, str, Judge], ...] = (
     ("lane changes", "left and right set target_lane, and previous_lane until the change is over", lane_changes),
     ("speeds", "no faster than speed_cap_mps; 5 brakes as hard as the car can", speeds),
     ("strays", "what is no answer to this tick has no effect", strays),
-    ("budget", "what comes after 20 ms, or after the action's own budget_ns, is not applied", late),
+    ("budget", "what comes after {budget}, or after the action's own budget_ns, is not applied", late),
     ("silence", "without answers the set-points hold for two ticks; then it brakes gently", silence),
 )

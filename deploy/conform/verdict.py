@@ -21,6 +21,11 @@ class Duty:
     """What was measured, or what is wrong and how to mend it."""
 
 
+def budget_text(budget_ns: int) -> str:
+    """As a duty names it."""
+    return f"{budget_ns / 1e6:g} ms"
+
+
 def all_hold(duties: Sequence[Duty]) -> bool:
     return bool(duties) and all(duty.holds for duty in duties)
 

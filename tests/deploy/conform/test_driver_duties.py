@@ -118,3 +118,8 @@ def test_a_driver_that_spoils_one_thing_is_told_of_it(name: str) -> None:
 
 def test_nothing_at_all_keeps_no_duty() -> None:
     assert not any(duty.holds for duty in duties(Showing(20_000_000)))
+
+
+def test_the_duty_names_the_budget_that_it_is_tried_with() -> None:
+    late = next(duty for duty in duties(Showing(7_500_000)) if duty.name == "late")
+    assert late.asks == "within 7.5 ms of the publication"

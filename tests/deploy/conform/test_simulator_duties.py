@@ -217,3 +217,8 @@ def test_a_lane_change_that_the_simulator_says_it_has_stopped_is_no_fault() -> N
 
 def test_nothing_at_all_keeps_no_duty() -> None:
     assert not any(duty.holds for duty in duties(Drive(BUDGET_NS)) if duty.name != "keeps going")
+
+
+def test_the_duty_names_the_budget_that_it_is_tried_with() -> None:
+    budget = next(duty for duty in duties(Drive(30_000_000)) if duty.name == "budget")
+    assert budget.asks == "what comes after 30 ms, or after the action's own budget_ns, is not applied"
