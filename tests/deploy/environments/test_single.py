@@ -288,7 +288,7 @@ def test_every_feature_that_highway_env_has_may_be_seen_and_lies_in_the_space_be
     env.reset(seed=0)
     assert env._road is not None
     assert env._road.env.ego.to_dict().keys() == set(OF_VEHICLES)
-    for thing in driven(env, 0, [MetaAction.SPEED_UP] * 4 + [MetaAction.CRUISE] * 50):
+    for thing in driven(env, 0, [*[int(MetaAction.SPEED_UP)] * 4, *[int(MetaAction.CRUISE)] * 50]):
         if isinstance(thing, np.ndarray):
             assert thing in env.observation_space
 
