@@ -58,12 +58,13 @@ def _certificates(
     listen: str | None, cert: str | None, key: str | None, ca: str | None, name: str | None
 ) -> Tls | None:
     """Those of a run, once they and where it listens are found to be good."""
-    from deploy.run.links import car_name, certificates, endpoint
+    from deploy.run.certificates import certificates
+    from deploy.run.links import car_name, endpoint
     from schemas.runtime.errors import ConfigError
 
     with _as_one_line():
         car_name(name or "")
-        tls = certificates(cert, key, ca)
+        tls = certificates(cert, key, ca, listens=True)
         if listen:
             endpoint(listen, tls, "--listen")
         elif tls is not None:

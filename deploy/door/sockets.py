@@ -25,11 +25,22 @@ def do_not_linger() -> int:
         for name in os.listdir(_FDS):
             with suppress(OSError):
                 if stat.S_ISSOCK(os.fstat(int(name)).st_mode):
-                    with socket.socket(fileno=os.dup(int(name))) as copy:
-                        if copy.family in (socket.AF_INET, socket.AF_INET6):
-                            copy.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _NOT_LINGERING)
-                            done += 1
+                    done += _closes_at_once(os.dup(int(name)))
     return done
+
+
+def _closes_at_once(fd: int) -> bool:
+    """Whether that is a TCP socket, which it then does; `fd` is closed. Raises OSError where it is none any more."""
+    try:
+        copy = socket.socket(fileno=fd)
+    except OSError:  # another thread has closed it meanwhile, and opened something else under its number
+        os.close(fd)
+        raise
+    with copy:
+        if copy.family not in (socket.AF_INET, socket.AF_INET6):
+            return False
+        copy.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _NOT_LINGERING)
+        return True
 
 
 def allow_many() -> None:

@@ -67,25 +67,6 @@ def endpoint(text: str, tls: Tls | None, option: str) -> str:
     return text
 
 
-def certificates(cert: str | None, key: str | None, ca: str | None) -> Tls | None:
-    """The files, as absolute paths; None where there is none. The key is beside the certificate, as NAME.key beside
-    NAME.pem, and the authority's is ca.pem beside it, unless given. Raises `ConfigError` for what cannot be read.
-    """
-    if cert is None:
-        if key or ca:
-            raise ConfigError("--key and --ca need --cert")
-        return None
-    here = Path(cert)
-    files = (here, Path(key) if key else here.with_suffix(".key"), Path(ca) if ca else here.parent / "ca.pem")
-    for option, file in zip(("--cert", "--key", "--ca"), files, strict=True):
-        try:
-            if b"-----BEGIN" not in file.read_bytes()[:100_000]:
-                raise ConfigError(f"{file} is no PEM file: give another one with {option}")
-        except OSError as error:
-            raise ConfigError(f"{file}: {error.strerror}; give another one with {option}") from None
-    return Tls(cert=str(files[0].absolute()), key=str(files[1].absolute()), ca=str(files[2].absolute()))
-
-
 def car_name(name: str) -> str:
     """A car's name, which becomes part of its keys. Raises `ConfigError`."""
     if name and not _NAME.fullmatch(name):

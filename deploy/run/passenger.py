@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import msgspec
 
-from deploy.run.links import TCP_HOST, car_name, certificates, endpoint
+from deploy.run.certificates import certificates
+from deploy.run.links import TCP_HOST, car_name, endpoint
 from deploy.run.status import mode_of
 from schemas.runtime.bus import BusConfig, BusError, open_bus
 from schemas.runtime.bus_settings import Tls
@@ -56,7 +57,7 @@ class Reach:
 
 def reach(port: int, connect: str | None, cert: str | None, key: str | None, ca: str | None, name: str | None) -> Reach:
     """From what a user has said. Raises `ConfigError`, naming the fix."""
-    tls = certificates(cert, key, ca)
+    tls = certificates(cert, key, ca, listens=False)
     if tls is not None and not connect:
         raise ConfigError("--cert needs --connect tls/HOST:PORT")
     found = Reach(port=port, connect=connect or "", tls=tls, name=name or "")

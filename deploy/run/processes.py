@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shlex
@@ -18,8 +19,10 @@ from deploy.run.launch import KEY, SECRETS, python_module
 from deploy.run.links import TCP_HOST as TCP_HOST
 from deploy.run.links import DoorOptions, Links, carried, stand_ins_of
 from schemas.runtime.bus_settings import Tls
+from schemas.runtime.errors import ConfigError
 from schemas.runtime.files import read_text_bounded
 from schemas.runtime.realtime import Mode
+from schemas.wire.text import plain
 from slow_node.config import BUDGET_S, THOUGHTS, TOKEN, WISHES
 from slow_node.llm.endpoint import where
 
@@ -149,15 +152,26 @@ def free_port() -> int:
 
 
 def is_free(host: str, port: int) -> bool:
-    """Whether nobody listens there now."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError:
+    """Whether nobody listens there now. Raises `ConfigError` where this user cannot listen there at all."""
+    at = f"[{host}]:{port}" if ":" in host else f"{plain(host, 100)}:{port}"
+    try:
+        family, kind, proto, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, proto) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except (socket.gaierror, UnicodeError):  # UnicodeError: a name that is too long, or has an empty part
+        raise ConfigError(f"cannot listen on {at}: there is no host of that name; check it") from None
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
             return False
-        return True
+        if host == TCP_HOST and error.errno == errno.EADDRNOTAVAIL:  # the loopback has none; `run` says how to mend it
+            raise
+        fix = {
+            errno.EADDRNOTAVAIL: "give an address of this computer, or 0.0.0.0 for all of them",
+            errno.EACCES: "choose a port above 1023",
+        }.get(error.errno or 0, "give another address")
+        raise ConfigError(f"cannot listen on {at}: {error.strerror}; {fix}") from None
+    return True
 
 
 def free_port_from(port: int) -> int:

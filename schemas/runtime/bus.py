@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -26,6 +27,8 @@ M = TypeVar("M", bound=Message)
 T = TypeVar("T")
 
 ANNOUNCED = "/soon"
+_IN_ZENOH = re.compile(r" at /[^ ]*\.rs:[0-9]+\.?")
+"""Where in zenoh's source an error arose."""
 
 
 class BusError(RuntimeError):
@@ -147,7 +150,7 @@ class _ZenohBytes:
         try:
             payload: bytes = self._handler.recv().payload.to_bytes()
         except self._closed as error:
-            raise BusError(f"the session has ended: {error}") from None
+            raise BusError(f"the session has ended: {_IN_ZENOH.sub('', str(error))}") from None
         return payload
 
     def poll(self, until_ns: int) -> bytes | None:
@@ -303,7 +306,7 @@ def open_bus(config: BusConfig) -> Iterator[ZenohBus]:
             settings.insert_json5(path, json.dumps(value))
         session = zenoh.open(settings)
     except (zenoh.ZError, OSError, ValueError) as error:
-        raise BusError(str(error).splitlines()[0]) from None
+        raise BusError(_IN_ZENOH.sub("", str(error).splitlines()[0])) from None
     try:
         yield ZenohBus(session, zenoh)
     finally:

@@ -7,6 +7,7 @@ root, with `ip`); elsewhere all are on loopback.
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -22,8 +23,9 @@ from typing import Any
 import msgspec
 import pytest
 
+from deploy.run.certificates import certificates
 from deploy.run.launch import children, environment
-from deploy.run.links import DoorOptions, Links, car_name, certificates, endpoint
+from deploy.run.links import DoorOptions, Links, car_name, endpoint
 from deploy.run.processes import door_process, free_port
 from schemas.runtime.bus import BusConfig, ZenohBus, open_bus
 from schemas.runtime.bus_settings import Tls
@@ -50,9 +52,22 @@ def made(folder: Path, *hosts: str) -> Path:
 
 
 def shown(folder: Path, role: str) -> Tls:
-    found = certificates(str(folder / f"{role}.pem"), None, None)
+    found = certificates(str(folder / f"{role}.pem"), None, None, listens=role == "door")
     assert found is not None
     return found
+
+
+@pytest.fixture(scope="module")
+def made_wrong(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Certificates, those of another authority in `other`, one that has expired, and a key with a password."""
+    folder = made(tmp_path_factory.mktemp("certs"))
+    made(folder / "other")
+    signed = "x509 -x509toreq -in door.pem -signkey door.key -out old.csr"
+    expired = "x509 -req -in old.csr -CA ca.pem -CAkey ca.key -CAcreateserial -days -1 -out old.pem"
+    locked = "pkey -in door.key -aes256 -passout pass:secret -out locked.key"
+    for words in (signed, expired, locked):
+        subprocess.run(["openssl", *words.split()], cwd=folder, check=True, capture_output=True)
+    return folder
 
 
 @dataclass
@@ -256,8 +271,73 @@ def test_where_nobody_could_be_let_in_safely_is_one_line_that_names_the_fix(text
 def test_files_that_are_no_certificates_are_named_with_their_option(tmp_path: Path) -> None:
     (tmp_path / "door.pem").write_text("nothing")
     with pytest.raises(ConfigError, match=r"door\.pem is no PEM file: give another one with --cert"):
-        certificates(str(tmp_path / "door.pem"), None, None)
+        certificates(str(tmp_path / "door.pem"), None, None, listens=True)
     with pytest.raises(ConfigError, match="--key and --ca need --cert"):
-        certificates(None, "door.key", None)
+        certificates(None, "door.key", None, listens=True)
+    with pytest.raises(ConfigError, match=r"--cert: there is no file .*passenger\.pem: check the path"):
+        certificates(str(tmp_path / "passenger.pem"), None, None, listens=True)
     with pytest.raises(ConfigError, match="letters, digits"):
         car_name("car/*")
+
+
+def test_a_device_or_a_pipe_is_no_certificate_and_is_not_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in ("/dev/zero", str(tmp_path / "pipe")):
+        with pytest.raises(ConfigError, match=f"--cert: {path} is no plain file"):
+            certificates(path, None, None, listens=True)
+
+
+@pytest.mark.parametrize(
+    ("cert", "key", "ca", "words"),
+    [
+        ("door.pem", "operator.key", "ca.pem", r"operator\.key is no key .* of the certificate .*door\.pem: .*--key"),
+        ("door.pem", "locked.key", "ca.pem", r"locked\.key is no key without a password"),
+        ("door.key", "door.key", "ca.pem", r"no key .* of the certificate .*door\.key"),
+        ("door.pem", "door.key", "door.key", r"door\.key is no certificate of an authority: .*--ca"),
+        ("door.pem", "door.key", "door.pem", r"door\.pem is not good for --listen with .*--ca"),
+        ("door.pem", "door.key", "other/ca.pem", r"door\.pem is not good for --listen with .*other/ca\.pem"),
+        (
+            "operator.pem",
+            "operator.key",
+            "ca.pem",
+            r"operator\.pem is not good for --listen with .*: give another --cert",
+        ),
+        ("old.pem", "door.key", "ca.pem", r"old\.pem is not good .*expired"),
+    ],
+)
+def test_key_certificate_and_authority_that_do_not_match_are_told_before_anything_starts(
+    cert: str, key: str, ca: str, words: str, made_wrong: Path
+) -> None:
+    with pytest.raises(ConfigError, match=words) as told:
+        certificates(str(made_wrong / cert), str(made_wrong / key), str(made_wrong / ca), listens=True)
+    assert "\n" not in str(told.value)
+
+
+def test_a_visitors_certificate_must_be_of_the_authority_that_it_trusts(made_wrong: Path) -> None:
+    assert shown(made_wrong, "passenger").cert == str(made_wrong / "passenger.pem")
+    with pytest.raises(ConfigError, match=r"passenger\.pem is not good for --connect"):
+        certificates(str(made_wrong / "passenger.pem"), None, str(made_wrong / "other/ca.pem"), listens=False)
+
+
+@pytest.mark.parametrize(
+    ("host", "words"),
+    [
+        ("192.0.2.1", "cannot listen on 192.0.2.1:7555: .*; give an address of this computer"),
+        ("[2001:db8::1]", r"cannot listen on \[2001:db8::1\]:7555: .*; give an"),
+        ("nowhere..", "cannot listen on nowhere..:7555: there is no host of that name"),
+    ],
+)
+def test_where_this_computer_cannot_listen_is_not_called_a_port_that_is_held(
+    host: str, words: str, made_wrong: Path, tmp_path: Path
+) -> None:
+    told = subprocess.run(
+        [sys.executable, "-P", "-m", "deploy", "run", f"--listen=tls/{host}:7555", f"--cert={made_wrong / 'door.pem'}"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=environment(),
+        check=False,
+    )
+    assert told.returncode == 78
+    assert re.fullmatch(f"fastslow: {words}.*\n", told.stderr)
+    assert list(tmp_path.iterdir()) == []

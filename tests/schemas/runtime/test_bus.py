@@ -210,6 +210,13 @@ def test_an_announcement_is_no_message(folder: Path) -> None:
         assert (rehearsing.take(), other.take(), b.faults) == ([], [], {})
 
 
+def test_an_endpoint_that_cannot_be_listened_on_is_told_without_places_in_the_source_of_zenoh() -> None:
+    with pytest.raises(BusError) as told, open_bus(BusConfig(mode="router", listen=("tcp/192.0.2.1:7555",))):
+        pass
+    assert "192.0.2.1:7555" in str(told.value)
+    assert ".rs" not in str(told.value)
+
+
 def test_a_client_that_reaches_nobody_says_so_and_does_not_try_for_ever() -> None:
     with pytest.raises(BusError), open_bus(BusConfig(mode="client", connect=(f"tcp/127.0.0.1:{free_port()}",))):
         pass
