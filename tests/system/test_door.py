@@ -19,8 +19,8 @@ import pytest
 from deploy.run.processes import TCP_HOST
 from schemas.runtime.bus import BusConfig, BusError, open_bus
 from schemas.wire import topics
+from tests.driving import Drive, driving
 from tests.running import child_of
-from tests.system.test_faults import Drive, driving
 from tests.waiting import until
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow, pytest.mark.timeout(300)]
