@@ -4,7 +4,7 @@ BIN := .venv/bin
 TEXT ?= I'm in a hurry to get to work, I want to drive faster
 export TEXT
 
-.PHONY: setup setup-dev run say test parity difficulty study policy baselines film picture screenshots check mutants faults soak wheel-test clean
+.PHONY: setup setup-dev run say test test-all parity difficulty study policy baselines film picture screenshots check mutants faults soak wheel-test clean
 .DEFAULT_GOAL := run
 
 # What driving, speaking and evaluating need: no torch.
@@ -37,6 +37,11 @@ say: setup
 test: setup-dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile --realtime=without $(ARGS) || [ $$? -eq 5 ]
 	$(BIN)/python -m pytest --realtime=alone $(ARGS) || [ $$? -eq 5 ]
+
+# All of it, with the real-time tests that take their time: some 25 minutes.
+test-all: setup-dev
+	$(BIN)/python -m pytest -n 2 --dist loadfile --realtime=without $(ARGS)
+	$(BIN)/python -m pytest -m realtime $(ARGS)
 
 # The engine against stock highway-env, to the last bit: 20 seeds of 40 s, on every stock road and every one of ours.
 parity: setup

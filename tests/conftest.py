@@ -30,14 +30,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what `--realtime` does not want.
+    """Leave out what `--realtime` does not want; alone: the thorough ones stay out, too.
 
     A search draws more examples of each property, whatever number it names for itself.
     """
     if (which := config.getoption("--realtime")) != "too":
         wanted: dict[bool, list[pytest.Item]] = {True: [], False: []}
         for test in items:
-            wanted[(test.get_closest_marker("realtime") is not None) == (which == "alone")].append(test)
+            realtime, thorough = (test.get_closest_marker(name) is not None for name in ("realtime", "thorough"))
+            wanted[realtime and not thorough if which == "alone" else not realtime].append(test)
         config.hook.pytest_deselected(items=wanted[False])
         items[:] = wanted[True]
     if settings.get_current_profile_name() != "search":

@@ -92,6 +92,7 @@ def is_let_in(endpoint: str) -> bool:
     return False
 
 
+@pytest.mark.thorough
 def test_users_who_stand_still_cost_the_loop_no_tick_and_no_process_its_life(
     tmp_path: Path, record_property: Record
 ) -> None:
@@ -118,6 +119,7 @@ def test_users_who_stand_still_cost_the_loop_no_tick_and_no_process_its_life(
     assert gaps_s[0] < 5.0  # one socket that lingers takes ten
 
 
+@pytest.mark.thorough
 def test_a_flood_and_messages_of_any_length_cost_the_loop_nothing(tmp_path: Path, record_property: Record) -> None:
     with driving(tmp_path) as drive:
         endpoint = door_of(drive)
@@ -133,6 +135,7 @@ def test_a_flood_and_messages_of_any_length_cost_the_loop_nothing(tmp_path: Path
         check(drive, record_property, f"{each}, and 40 of up to 10 MB")
 
 
+@pytest.mark.thorough
 def test_half_open_connections_cost_the_loop_nothing(tmp_path: Path, record_property: Record) -> None:
     with driving(tmp_path) as drive:
         endpoint = door_of(drive)

@@ -14,7 +14,7 @@ import pytest
 from schemas.runtime.process import CONFIG, OK
 from tests.running import ROOT
 
-pytestmark = [pytest.mark.realtime, pytest.mark.slow, pytest.mark.timeout(170)]
+pytestmark = [pytest.mark.realtime, pytest.mark.thorough, pytest.mark.slow, pytest.mark.timeout(170)]
 WORDS = (
     "run", "--scenario", "highway", "--seed", "3", "--port", "0", "--without", "llm", "--no-cockpit", "--duration", "2",
     "--say", "bitte schneller, über 100!", "--say-at", "0", "--json",

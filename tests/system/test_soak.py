@@ -11,7 +11,7 @@ import pytest
 
 from tests.running import ROOT
 
-pytestmark = [pytest.mark.realtime, pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.realtime, pytest.mark.thorough, pytest.mark.slow, pytest.mark.timeout(300)]
 
 
 def test_a_bank_survives_the_death_of_who_writes_into_it_and_a_killed_run_leaves_nothing(tmp_path: Path) -> None:

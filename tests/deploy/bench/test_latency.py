@@ -277,6 +277,7 @@ def test_the_picture_is_drawn(measured: tuple[dict[str, Any], Path]) -> None:
     assert (measured[1] / "picture.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.thorough
 @pytest.mark.realtime
 def test_with_cockpit_and_recorder_the_page_gets_frames_and_messages_are_recorded(tmp_path: Path) -> None:
     command = ("bench", "latency", "--seconds", "4", "--load", "watched", "--peer", "none", "--json", "--out", "out")

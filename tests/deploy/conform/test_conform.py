@@ -116,6 +116,7 @@ def test_our_own_node_keeps_every_duty(role: str, module: str) -> None:
     assert (code, wrong(data)) == (0, {}), stderr
 
 
+@pytest.mark.thorough
 @pytest.mark.realtime
 @pytest.mark.slow
 @pytest.mark.parametrize(
