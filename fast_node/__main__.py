@@ -76,8 +76,8 @@ def nodes_of(config: FastConfig, policy: NamedPolicy) -> tuple[FastNode, FastNod
     limit_s = POLICY_SHARE * config.budget_ms / 1e3
     drives: Policy = WatchedPolicy(policy, limit_s) if policy.stateless else DeadlinePolicy(policy, limit_s)
     rehearses: Policy = policy if policy.stateless else RulePolicy()
-    preset = PRESETS[policy.mask_preset]
-    return FastNode(config, drives, preset), FastNode(config, rehearses, preset)
+    preset, stateless = PRESETS[policy.mask_preset], policy.stateless
+    return FastNode(config, drives, preset, stateless=stateless), FastNode(config, rehearses, preset, stateless=True)
 
 
 def main() -> None:
@@ -92,7 +92,7 @@ def main() -> None:
 
         def rehearse(last: Observation) -> None:
             """Answer the last observation once more, without consequence."""
-            rehearser.step(last, directives.peek(), 0)
+            rehearser.rehearse(node, last, directives.peek())
             bus.announce_next(topics.ACTION)
 
         observations = bus.subscribe_rehearsed(topics.OBSERVATION, rehearse, POLL_NS if may_poll(scheduling) else 0)

@@ -82,7 +82,8 @@ def drive(sim: SimNode, policy: NamedPolicy, ask: Ask, duration_s: float, preset
     bus = LocalBus()
     observations, actions = bus.subscribe(topics.OBSERVATION), bus.subscribe(topics.ACTION)
     directives = bus.subscribe(topics.DIRECTIVE)
-    fast = FastNode(FastConfig(), policy, PRESETS[preset or policy.mask_preset])
+    mask = PRESETS[preset or policy.mask_preset]
+    fast = FastNode(FastConfig(), policy, mask, stateless=policy.stateless)
     sim.reset(1)
     bus.publish(topics.OBSERVATION, sim.observation(0))
     for k in range(round(duration_s * HZ)):

@@ -132,7 +132,7 @@ def node_factory(recording: Recording, policy: str | None = None, mask_preset: s
 
     def make() -> FastNode:
         loaded = load_policy(spec)
-        return FastNode(config, loaded, PRESETS[mask_preset or loaded.mask_preset])
+        return FastNode(config, loaded, PRESETS[mask_preset or loaded.mask_preset], stateless=loaded.stateless)
 
     return make
 

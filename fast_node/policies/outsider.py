@@ -119,8 +119,8 @@ class DeadlinePolicy:
                 answer.set_exception(error if isinstance(error, Exception) else RuntimeError(repr(error)))
 
 
-TRUSTED_AGAIN = 75
-"""Answers: 5 s at 15 Hz. The scheduler's odd pause is no fault of the policy, and a hand-over would cost every tick."""
+TRUSTED_AGAIN = 15
+"""Answers, three a second: 5 s. The scheduler's odd pause is no fault of the policy, and every hand-over costs."""
 
 
 class WatchedPolicy:

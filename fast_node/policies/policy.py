@@ -18,7 +18,8 @@ class Policy(Protocol):
     def logits(self, x: Array) -> Array:
         """(..., N, F) policy input -> (..., 5) preferences over SLOW_DOWN, CRUISE, SPEED_UP, LEFT and RIGHT.
 
-        The open action with the largest preference is taken. Called at every tick, 15 times a second.
+        The open action with the largest preference is taken. Called where a decision is due, three times a second; a
+        policy that may remember, at every tick.
         """
         ...
 
@@ -32,8 +33,8 @@ class NamedPolicy:
     mask_preset: str = "sim"
     """The preset of the mask that it was trained behind."""
     stateless: bool = True
-    """Whether asking it once more changes nothing and costs little. Only such a policy takes part in rehearsals, and
-    only such a one is asked without a deadline."""
+    """Whether asking it once more changes nothing and costs little. Only such a policy takes part in rehearsals, is not
+    asked in between its decisions, and is asked without a deadline."""
     sidecar: Mapping[str, object] = field(default_factory=dict)
     """What its training depended on; empty where it was not trained here."""
 

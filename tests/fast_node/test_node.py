@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from fast_node.tracks import Tracks
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import Directive, Manoeuvre, MetaAction, Observation, Style
 from tests.mask_scenes import ROADS, ROADS_BY_HAND, SIGHT_M, Scene, judge, presets, scenes
-from tests.scenes import observation
+from tests.scenes import car, observation
 
 directives = st.none() | st.builds(
     Directive,
@@ -105,3 +105,60 @@ def test_whatever_state_directive_and_policy_the_node_does_what_the_mask_leaves_
         assert reasons[action.meta_action] == OPEN, action
         assert (action.meta_action == MetaAction.EMERGENCY_BRAKE) == nothing_open, action
         assert action.source != "fallback" or instead in BROKEN, action
+
+
+class Asked:
+    """A policy that keeps the ticks at which it was asked, and fails at some."""
+
+    def __init__(self, *fails_at: int) -> None:
+        self.now, self._fails_at = 0, fails_at
+        self.ticks: list[int] = []
+
+    def logits(self, x):
+        self.ticks.append(self.now)
+        if self.now in self._fails_at:
+            raise ValueError
+        return RulePolicy().logits(x) + np.float32(0.01 * self.now)
+
+
+def drive(policy: Asked, ticks: int, *, stateless: bool) -> list[Any]:
+    """The node's actions on an open road."""
+    node = FastNode(FastConfig(), policy, stateless=stateless)
+    actions = []
+    for policy.now in range(ticks):
+        actions.append(node.step(observation(car(0, 100.0, 1, 20.0), tick=policy.now), None, 0)[0])
+    return actions
+
+
+def test_a_policy_that_remembers_nothing_is_asked_where_a_decision_is_due_and_its_answer_stands_until_the_next() -> (
+    None
+):
+    policy = Asked()
+    actions = drive(policy, 11, stateless=True)
+    assert policy.ticks == [0, 5, 10]
+    assert len({action.probabilities for action in actions[:5]}) == 1
+    assert [a.meta_action for a in actions] == [a.meta_action for a in drive(Asked(), 11, stateless=False)]
+
+
+def test_a_policy_that_may_remember_is_asked_at_every_tick() -> None:
+    policy = Asked()
+    drive(policy, 11, stateless=False)
+    assert policy.ticks == list(range(11))
+
+
+def test_a_policy_that_fails_is_asked_again_at_the_next_tick() -> None:
+    policy = Asked(5, 6)
+    actions = drive(policy, 12, stateless=True)
+    assert policy.ticks == [0, 5, 6, 7]
+    assert [a.source == "fallback" for a in actions] == [tick in (5, 6) for tick in range(12)]
+
+
+def test_the_rehearsal_before_a_decision_asks_the_policy_and_no_other_does() -> None:
+    policy = Asked()
+    node = FastNode(FastConfig(), RulePolicy(), stateless=True)
+    rehearser = FastNode(FastConfig(), policy, stateless=True)
+    for policy.now in range(12):
+        seen = observation(car(0, 100.0, 1, 20.0), tick=policy.now)
+        node.step(seen, None, 0)
+        rehearser.rehearse(node, seen, None)
+    assert policy.ticks == [0, 4, 9]  # the first one is of a new world
