@@ -211,6 +211,17 @@ def car(hosts: Hosts) -> Iterator[Car]:
         yield Car(inside, hosts, listen, certs)
 
 
+def test_the_page_on_using_it_gives_each_role_what_the_table_of_roles_gives_it() -> None:
+    told = re.findall(r"^\| `(\w+)` \| (.*) \| (.*) \|$", (ROOT / "docs/using.md").read_text(), re.MULTILINE)
+    rows = {role: cells for role, *cells in told if role in ROLES}
+    every = {topic.name for topic in TOPICS}
+    for role, may in ROLES.items():
+        for cell, topics_ in zip(rows[role], (may.puts, may.reads), strict=True):
+            names = {"nothing": set[str](), "everything": every}.get(cell, set(re.findall(r"`(\w+)`", cell)))
+            assert names == {topic.name for topic in topics_}, role
+    assert rows.keys() == ROLES.keys()
+
+
 @pytest.mark.parametrize("role", ["passenger", "operator", "recorder", "fast"])
 def test_each_role_does_its_job_and_no_more(role: str, car: Car, record_property: Any) -> None:
     may = ROLES[role]
