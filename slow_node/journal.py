@@ -8,7 +8,8 @@ from typing import Any
 
 from schemas.runtime.process import log
 from schemas.wire.codec import Fault
-from schemas.wire.messages import Command, Event, Found, Input, Journal
+from schemas.wire.journal import Found, Input, Journal
+from schemas.wire.messages import Command, Event
 from slow_node.interpreter import Interpretation
 from slow_node.understanding.slots import Slots
 

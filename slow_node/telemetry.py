@@ -17,7 +17,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from schemas.runtime.process import log
-from schemas.wire.messages import Thought
+from schemas.wire.thought import Thought
 from slow_node.llm.endpoint import is_azure
 from slow_node.llm.model import Call, ChatModel
 from slow_node.thought import Trace

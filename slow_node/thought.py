@@ -14,8 +14,9 @@ import msgspec
 from msgspec.structs import replace
 
 from schemas.runtime.process import log
-from schemas.wire.messages import Recalled, Thought, Try, Turn, Verdict
+from schemas.wire.messages import Verdict
 from schemas.wire.text import json_line
+from schemas.wire.thought import Recalled, Thought, Try, Turn
 from slow_node.llm.dialect import Chat
 from slow_node.llm.model import Call
 from slow_node.memory.bank import Example

@@ -33,9 +33,9 @@ from schemas.wire.messages import (
     Observation,
     Reply,
     Status,
-    Thought,
 )
 from schemas.wire.text import plain
+from schemas.wire.thought import Thought
 
 NOTES, THOUGHTS = 400, 30
 """How many notes and how many thoughts are kept."""

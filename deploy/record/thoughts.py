@@ -14,8 +14,8 @@ from msgspec import Struct
 from deploy.record.reader import NotARecordingError, open_recording
 from schemas.runtime.files import lines_bounded
 from schemas.runtime.process import ConfigError
-from schemas.wire.messages import Thought
 from schemas.wire.text import plain
+from schemas.wire.thought import Thought
 from slow_node.config import THOUGHTS
 
 LINE_BYTES = 4_000_000

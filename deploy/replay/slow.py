@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 from deploy.replay.check import Comparison, fields_of
 from deploy.replay.tape import Tape
-from schemas.wire.messages import Directive, Input, Reply
+from schemas.wire.journal import Input
+from schemas.wire.messages import Directive, Reply
 from slow_node.deliberation import Deliberation
 from slow_node.effects import Effect
 from slow_node.journal import interpretation_of

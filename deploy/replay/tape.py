@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 from deploy.record.reader import Recording
-from schemas.wire.messages import Action, Control, Directive, Event, Journal, Observation, Reply, Status
+from schemas.wire.journal import Journal
+from schemas.wire.messages import Action, Control, Directive, Event, Observation, Reply, Status
 
 World = list[Observation]
 """One epoch, tick by tick."""

@@ -20,7 +20,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-from schemas.wire.program import Program, Step
+from schemas.wire.program import Step
 
 SCHEMA_VERSION = "3.4"
 
@@ -299,80 +299,6 @@ class Status(Message, frozen=True, kw_only=True, tag="status"):
     """When it began; 0: it has been so since the start."""
 
 
-class Turn(Struct, frozen=True, kw_only=True):
-    """One message of a prompt to the language model."""
-
-    role: str
-    content: str
-
-
-class Recalled(Struct, frozen=True, kw_only=True):
-    """One example out of the memory bank."""
-
-    command: str
-    similarity: float
-    """Cosine of the two commands."""
-    slots: str
-    """What it was taken to mean, as JSON."""
-    outcome: str
-    """What came of it the last time."""
-
-
-class Try(Struct, frozen=True, kw_only=True):
-    """One exchange with the language model's server."""
-
-    ms: float
-    asked: str
-    """The answer format that was asked for: "json_schema", "json_object" or "text"."""
-    failed: str = ""
-    """Why no answer came, in the server's words where it had some; "": one came."""
-    unusable: str = ""
-    """Why the answer could not be parsed; "": it could."""
-    thinking: str = ""
-    """What the model thought before it answered: never read for what it means."""
-    finish: str = ""
-    """Why the answer ended, in the server's word."""
-    prompt_tokens: int = 0
-    answer_tokens: int = 0
-
-
-class Thought(Message, frozen=True, kw_only=True, tag="thought"):
-    """How a command was understood: for people who look. Nothing is driven by it, and long texts are cut off."""
-
-    command_id: int
-    command: str
-    source: str
-    """Who decided: "refusals", "parser", "memory" or the language model's name."""
-    outcome: str
-    """Of the first reply after it: "issued", "refused" or "failed"; "superseded" where a newer command came first."""
-    reading: str = ""
-    """What the intent parser made of it."""
-    recalled: tuple[Recalled, ...] = ()
-    prompt: tuple[Turn, ...] = ()
-    """Empty where the language model was not asked."""
-    answers: tuple[str, ...] = ()
-    """The language model's, as they came; the second is a repair."""
-    guards: tuple[str, ...] = ()
-    """What was changed of the answer, or why it was not followed."""
-    slots: str = ""
-    """What the command was taken to mean in the end, as JSON."""
-    spans_ms: dict[str, float] = {}
-    """How long each part took."""
-    prompt_tokens: int = 0
-    answer_tokens: int = 0
-    trimmed: bool = False
-    """Something was too long and is cut off."""
-    model: str = ""
-    """The language model that was asked; "": none was."""
-    tries: tuple[Try, ...] = ()
-    """Every exchange with its server: retries, other ways of asking, repairs."""
-    cost_usd: float | None = None
-    """Of them all; None: nobody knows."""
-    verdict: Verdict = ""
-    again: str = ""
-    """Why the model was asked once more about a command under way; "": the command was new."""
-
-
 class Control(Message, frozen=True, kw_only=True, tag="control"):
     """What somebody orders who watches the simulator. A real road would not obey."""
 
@@ -384,54 +310,3 @@ class Control(Message, frozen=True, kw_only=True, tag="control"):
     """Of a restart: which traffic; None for the same."""
     density: float | None = None
     """Of a restart: times the road's own traffic; None for the same."""
-
-
-class Found(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What the passenger's command was found to mean: the language model's answer, checked."""
-
-    slots: str
-    """As JSON; "": none."""
-    why: str
-    model_answered: bool
-    program: Program | None = None
-    """None: what the slots say, at once."""
-    provisional: bool = False
-    """The quick reader's, while the language model is still thinking."""
-    verdict: Verdict = ""
-    lesson: str = ""
-    """What experience on a road like this one says about it: "less", "gentler"; "": nothing."""
-
-
-class Input(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One thing that the slow node took into account.
-
-    Exactly one of a tick, an event, a command, what is no command, what a command was found to mean, and
-    what is preferred.
-    """
-
-    now_ns: int
-    """When it did."""
-    epoch: int = -1
-    tick: int = -1
-    """Of an observation."""
-    event: Event | None = None
-    command: Command | None = None
-    """With the id that it was given on arrival, where it came without one."""
-    refused: str | None = None
-    """Why a payload is no command."""
-    found: Found | None = None
-    id: int = -1
-    """Of what was refused or found."""
-    manner: tuple[str, ...] | None = None
-    """The kinds of what the passenger prefers on every drive, as the memory had them at the start."""
-
-
-class Journal(Message, frozen=True, kw_only=True, tag="journal"):
-    """What the slow node took into account, in its order: with it, its directives and replies can be had again."""
-
-    seq: int
-    """From 0, without gaps, since its start."""
-    inputs: tuple[Input, ...]
-
-
-AnyMessage = Observation | Action | Command | Directive | Reply | Event | Status | Thought | Control | Journal

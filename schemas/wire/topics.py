@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from schemas.wire import messages as m
+from schemas.wire.journal import Journal
+from schemas.wire.thought import Thought
 
 M = TypeVar("M", bound=m.Message)
 
@@ -48,10 +50,10 @@ REPLY = Topic(name="reply", type=m.Reply, publisher="slow", hz=None, stale_after
 EVENT = Topic(name="event", type=m.Event, publisher="any", hz=None, stale_after_s=60.0, depth=64)
 STATUS = Topic(name="status", type=m.Status, publisher="any", hz=5, stale_after_s=1.0, depth=16)
 THOUGHT = Topic(
-    name="thought", type=m.Thought, publisher="slow", hz=None, stale_after_s=60.0, depth=8, max_bytes=MAX_THOUGHT_BYTES
+    name="thought", type=Thought, publisher="slow", hz=None, stale_after_s=60.0, depth=8, max_bytes=MAX_THOUGHT_BYTES
 )
 CONTROL = Topic(name="control", type=m.Control, publisher="anyone", hz=None, stale_after_s=10.0, depth=8)
-JOURNAL = Topic(name="journal", type=m.Journal, publisher="slow", hz=None, stale_after_s=60.0, depth=64)
+JOURNAL = Topic(name="journal", type=Journal, publisher="slow", hz=None, stale_after_s=60.0, depth=64)
 
 TOPICS: tuple[
     Topic[m.Observation]
@@ -61,8 +63,8 @@ TOPICS: tuple[
     | Topic[m.Reply]
     | Topic[m.Event]
     | Topic[m.Status]
-    | Topic[m.Thought]
+    | Topic[Thought]
     | Topic[m.Control]
-    | Topic[m.Journal],
+    | Topic[Journal],
     ...,
 ] = (OBSERVATION, ACTION, DIRECTIVE, COMMAND, REPLY, EVENT, STATUS, THOUGHT, CONTROL, JOURNAL)

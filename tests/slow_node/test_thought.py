@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from schemas.wire.codec import decode, encode
-from schemas.wire.messages import Thought
+from schemas.wire.thought import Thought
 from schemas.wire.topics import THOUGHT
 from slow_node.llm.answer import Answer
 from slow_node.llm.model import Call

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from deploy.cli.app import app
 from deploy.record.thoughts import LINE_BYTES, Kept, kept_in, worded
 from schemas.runtime.process import CONFIG, FAILED, OK
-from schemas.wire.messages import Recalled, Thought, Try, Turn
+from schemas.wire.thought import Recalled, Thought, Try, Turn
 from slow_node.config import THOUGHTS
 from slow_node.thought import ThoughtsFile
 from tests.faulty_server import FaultyServer, answer

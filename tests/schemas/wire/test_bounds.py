@@ -10,6 +10,8 @@ import pytest
 from schemas.driving.road import LANE, X
 from schemas.wire import messages as m
 from schemas.wire.bounds import AHEAD_NS, OutOfBoundsError, check, is_from_the_future
+from schemas.wire.journal import Input, Journal
+from schemas.wire.thought import Recalled, Thought
 from tests.scenes import car, directive, lane, observation
 
 EGO = car(0, 500.0, 1, 8.0)
@@ -156,13 +158,13 @@ def test_no_number_of_any_message_is_not_finite_however_deep_it_lies() -> None:
     status: dict[str, Any] = {**header, "node": "sim", "pid": 1, "seq": 1, "state": "ready"}
     thought: dict[str, Any] = {**header, "command_id": 1, "command": "", "source": "", "outcome": "", "answers": ("a",)}
     event = m.Event(**header, kind=m.EventKind.WORLD, node="sim", tick=1, duration_s=math.inf)
-    recalled = m.Recalled(command="", similarity=math.nan, slots="", outcome="")
+    recalled = Recalled(command="", similarity=math.nan, slots="", outcome="")
     assert refusal(m.Status(**status, metrics={"a": 1.0})) == ""
     assert refusal(m.Status(**status, metrics={"a": "text"})) == ""  # type: ignore[dict-item]
     assert refusal(m.Status(**status, metrics={50 * "x": math.nan})) == 40 * "x" + " is nan"
-    assert refusal(m.Thought(**thought)) == ""
-    assert refusal(m.Thought(**thought, recalled=(recalled,))) == "similarity is nan"
-    assert refusal(m.Journal(**header, seq=1, inputs=(m.Input(now_ns=1, event=event),))) == "duration_s is inf"
+    assert refusal(Thought(**thought)) == ""
+    assert refusal(Thought(**thought, recalled=(recalled,))) == "similarity is nan"
+    assert refusal(Journal(**header, seq=1, inputs=(Input(now_ns=1, event=event),))) == "duration_s is inf"
 
 
 @pytest.mark.parametrize(

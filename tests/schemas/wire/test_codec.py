@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from schemas.wire.codec import Fault, decode, decode_command, encode
-from schemas.wire.messages import ROW_COLUMNS, ROW_LAYOUT, SCHEMA_VERSION, Command, Lane, Message, Observation, Thought
+from schemas.wire.messages import ROW_COLUMNS, ROW_LAYOUT, SCHEMA_VERSION, Command, Lane, Message, Observation
+from schemas.wire.thought import Thought
 from schemas.wire.topics import COMMAND, MAX_COMMAND_CHARS, MAX_MESSAGE_BYTES, OBSERVATION, THOUGHT, Topic
 
 MAJOR = SCHEMA_VERSION[: SCHEMA_VERSION.index(".")]

@@ -17,6 +17,8 @@ from hypothesis import strategies as st
 
 from schemas.wire import messages as m
 from schemas.wire.codec import Fault, decode, decode_command, encode, rows_of
+from schemas.wire.journal import Found, Input, Journal
+from schemas.wire.thought import Recalled, Thought, Try, Turn
 from schemas.wire.topics import (
     ACTION,
     DIRECTIVE,
@@ -106,19 +108,19 @@ STRATEGIES: dict[str, st.SearchStrategy[m.Message]] = {
         **header,
     ),
     "thought": st.builds(
-        m.Thought,
+        Thought,
         command_id=counts,
         command=words,
         source=words,
         outcome=words,
-        prompt=st.lists(st.builds(m.Turn, role=words, content=st.text(max_size=500)), max_size=5).map(tuple),
+        prompt=st.lists(st.builds(Turn, role=words, content=st.text(max_size=500)), max_size=5).map(tuple),
         recalled=st.lists(
-            st.builds(m.Recalled, command=words, similarity=numbers, slots=words, outcome=words), max_size=5
+            st.builds(Recalled, command=words, similarity=numbers, slots=words, outcome=words), max_size=5
         ).map(tuple),
         answers=st.lists(st.text(max_size=300), max_size=2).map(tuple),
         spans_ms=st.dictionaries(words, numbers, max_size=3),
         tries=st.lists(
-            st.builds(m.Try, ms=numbers, asked=words, failed=words, unusable=words, thinking=words), max_size=3
+            st.builds(Try, ms=numbers, asked=words, failed=words, unusable=words, thinking=words), max_size=3
         ).map(tuple),
         cost_usd=st.none() | numbers,
         **header,
@@ -132,14 +134,14 @@ STRATEGIES: dict[str, st.SearchStrategy[m.Message]] = {
         **header,
     ),
     "journal": st.builds(
-        m.Journal,
+        Journal,
         seq=counts,
         inputs=st.lists(
-            st.builds(m.Input, now_ns=counts, tick=counts)
-            | st.builds(m.Input, now_ns=counts, manner=st.lists(words, max_size=3).map(tuple))
-            | st.builds(m.Input, now_ns=counts, refused=words, id=counts)
+            st.builds(Input, now_ns=counts, tick=counts)
+            | st.builds(Input, now_ns=counts, manner=st.lists(words, max_size=3).map(tuple))
+            | st.builds(Input, now_ns=counts, refused=words, id=counts)
             | st.builds(
-                m.Input, now_ns=counts, found=st.builds(m.Found, slots=words, why=words, model_answered=st.booleans())
+                Input, now_ns=counts, found=st.builds(Found, slots=words, why=words, model_answered=st.booleans())
             ),
             max_size=4,
         ).map(tuple),
