@@ -251,7 +251,9 @@ def speeds(drive: Drive, pairs: Sequence[Pair]) -> str:
         if speed > action.speed_cap_mps + 1.0 and capped[0].seen.epoch == capped[-1].seen.epoch:
             raise Wrong(f"{speed:.1f} m/s after 1.6 s under a speed_cap_mps of {action.speed_cap_mps:.1f}")
     braked = [b for a, b in _applied(pairs) if a.phase == "brake"]
-    least = min((b.seen.acceleration_mps2 for b in braked), default=-math.inf)
+    if not braked:
+        raise Wrong("no 'emergency brake' was applied")
+    least = min(b.seen.acceleration_mps2 for b in braked)
     if least > -BRAKE_MPS2 and all(_rows(b)[0][VX] > 2.0 for b in braked):
         raise Wrong(f"'emergency brake' slows down with {-least:.1f} m/s2 at most: as hard as the car can is asked for")
     return "the cap is kept, the emergency brake brakes"
@@ -276,6 +278,8 @@ def strays(drive: Drive, pairs: Sequence[Pair]) -> str:
 def late(drive: Drive, pairs: Sequence[Pair]) -> str:
     for phase, what in (("late", budget_text(drive.budget_ns)), ("short", "its own budget_ns")):
         tried = [(a, b) for a, b in pairs if a.phase == phase and a.answer is None]
+        if not tried:
+            raise Wrong(f"no answer after {what} could be tried")
         used = [a for a, b in tried if b.seen.applied_tick == a.seen.tick]
         if used:
             raise Wrong(f"tick {used[0].seen.tick}: an answer that came after {what} was applied")

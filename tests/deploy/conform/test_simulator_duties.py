@@ -193,6 +193,18 @@ def test_a_simulator_that_takes_a_late_answer_is_told_of_it(phase: str) -> None:
     assert not found.holds
 
 
+def test_a_brake_that_is_never_applied_is_no_brake() -> None:
+    assert "no 'emergency brake' was applied" in _judged(_spoil_pairs("brake", applied_tick=-1))["speeds"].found
+
+
+@pytest.mark.parametrize("phase", ["late", "short"])
+def test_a_budget_that_no_late_answer_tried_is_not_kept(phase: str) -> None:
+    def untried(drive: Drive) -> None:
+        drive.steps = [step for step in drive.steps if step.phase != phase or step.answer is not None]
+
+    assert "could be tried" in _judged(untried)["budget"].found
+
+
 def test_a_simulator_that_drives_on_without_answers_is_told_of_it() -> None:
     def keep_speed(drive: Drive) -> None:
         first = next(rows_of(s.seen)[0, VX] for s in drive.steps if s.phase == "silence")
