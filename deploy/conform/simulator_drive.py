@@ -125,22 +125,27 @@ def _change(seen: Observation, k: int) -> list[Sent]:
     return _hold(seen, k)
 
 
-def _strays(seen: Observation, k: int) -> list[Sent]:
-    """Before or after a good CRUISE something that is nobody's answer."""
-    up = _action(seen, MetaAction.SPEED_UP)
-    other = [
-        _without_effect(msgspec.structs.replace(up, epoch=seen.epoch + 1)),
-        _without_effect(msgspec.structs.replace(up, answers_tick=seen.tick - 1)),
-        _without_effect(msgspec.structs.replace(up, answers_tick=seen.tick + 1)),
-        _without_effect(msgspec.structs.replace(up, meta_action=9)),
-        _without_effect(msgspec.structs.replace(up, schema="4.0")),
-        Sent(b"\xc1 no message"),
-        Sent(b"\x93\x01\x02\x03"),
-    ]
-    good = _says(_action(seen, MetaAction.CRUISE), SHORT_NS)
-    if k % 8 == 7:
-        return [good, _without_effect(up, 2 * SHORT_NS)]
-    return [other[k % 8], good]
+class _Strays:
+    """Before or after a good CRUISE something that is nobody's answer, all within a quarter of the budget."""
+
+    def __init__(self, budget_ns: int) -> None:
+        self._good_ns, self._second_ns = budget_ns // 10, budget_ns // 5
+
+    def __call__(self, seen: Observation, k: int) -> list[Sent]:
+        up = _action(seen, MetaAction.SPEED_UP)
+        other = [
+            _without_effect(msgspec.structs.replace(up, epoch=seen.epoch + 1)),
+            _without_effect(msgspec.structs.replace(up, answers_tick=seen.tick - 1)),
+            _without_effect(msgspec.structs.replace(up, answers_tick=seen.tick + 1)),
+            _without_effect(msgspec.structs.replace(up, meta_action=9)),
+            _without_effect(msgspec.structs.replace(up, schema="4.0")),
+            Sent(b"\xc1 no message"),
+            Sent(b"\x93\x01\x02\x03"),
+        ]
+        good = _says(_action(seen, MetaAction.CRUISE), self._good_ns)
+        if k % 8 == 7:
+            return [good, _without_effect(up, self._second_ns)]
+        return [other[k % 8], good]
 
 
 class _Late:
@@ -169,7 +174,7 @@ def script(budget_ns: int) -> list[tuple[str, int, Say]]:
         ("cap", 25, _Capped()),
         ("faster", 15, _faster),
         ("change", 60, _change),
-        ("strays", 16, _strays),
+        ("strays", 16, _Strays(budget_ns)),
         ("late", 10, _Late(budget_ns + LATE_NS)),
         ("short", 10, _Late(SHORT_LATE_NS, SHORT_NS)),
         ("faster", 15, _faster),

@@ -261,6 +261,8 @@ def speeds(drive: Drive, pairs: Sequence[Pair]) -> str:
 
 def strays(drive: Drive, pairs: Sequence[Pair]) -> str:
     here = [(a, b) for a, b in pairs if a.phase == "strays" and a.prompt]
+    if not here:
+        raise Wrong("no stray could be tried in time")
     for k, (a, b) in enumerate(here):
         if b.seen.applied_tick > a.seen.tick:
             raise Wrong(f"applied_tick is {b.seen.applied_tick} after tick {a.seen.tick}")
@@ -270,7 +272,7 @@ def strays(drive: Drive, pairs: Sequence[Pair]) -> str:
                 f"was carried out (the {k + 1}th of them)"
             )
     kept = sum(b.seen.applied_tick == a.seen.tick for a, b in here)
-    if here and kept < (1 - 2 * TOLERATED) * len(here):
+    if kept < (1 - 2 * TOLERATED) * len(here):
         raise Wrong(f"beside them only {kept} of {len(here)} good answers were applied")
     return f"{len(here)} without effect"
 

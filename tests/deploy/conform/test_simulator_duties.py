@@ -26,19 +26,19 @@ BUDGET_NS = 20_000_000
 
 
 @functools.cache
-def _driven() -> Drive:
+def _driven(budget_ns: int = BUDGET_NS) -> Drive:
     """Our own simulator, in lock-step: what it shows at each tick of the script, and what it is told."""
-    sim, drive, now_ns = SimNode(SimConfig(scenario="highway", seed=3)), Drive(BUDGET_NS), NS
+    sim, drive, now_ns = SimNode(SimConfig(scenario="highway", seed=3)), Drive(budget_ns), NS
     sim.reset(1)
-    for phase, ticks, say in script(BUDGET_NS):
+    for phase, ticks, say in script(budget_ns):
         if phase == "restart":
             sim.restart(Control(epoch=0, stamp_ns=now_ns, do="restart"), now_ns)
         for k in range(ticks):
             step = Step(phase, sim.observation(now_ns), now_ns + 500_000)
             step.sent = say(step.seen, k)
-            step.prompt = all(sent.after_ns < BUDGET_NS // 4 for sent in step.sent)
+            step.prompt = all(sent.after_ns < budget_ns // 4 for sent in step.sent)
             drive.steps.append(step)
-            gate = Gate(BUDGET_NS)
+            gate = Gate(budget_ns)
             gate.open(step.seen.epoch, step.seen.tick, now_ns)
             for sent in step.sent:
                 try:
@@ -47,7 +47,7 @@ def _driven() -> Drive:
                     continue
                 if action is not None and action.schema.startswith("3"):
                     gate.arrived(action, now_ns + sent.after_ns)
-            sim.advance(gate.close(now_ns + BUDGET_NS), now_ns)
+            sim.advance(gate.close(now_ns + budget_ns), now_ns)
             drive.events += sim.take_events()
             now_ns += NS // HZ
     return drive
@@ -185,6 +185,19 @@ def _spoil_pairs(phase: str, **fields: object) -> Callable[[Drive], None]:
 def test_a_simulator_that_takes_what_is_no_answer_is_told_of_it() -> None:
     found = _judged(_spoil_pairs("strays", target_speed_mps=lambda a, b: a.seen.target_speed_mps + 0.1))["strays"]
     assert "was carried out" in found.found
+
+
+def test_strays_that_could_not_be_tried_in_time_tell_nothing() -> None:
+    def slow(drive: Drive) -> None:
+        for step in drive.steps:
+            step.prompt = step.prompt and step.phase != "strays"
+
+    assert "no stray could be tried" in _judged(slow)["strays"].found
+
+
+def test_a_small_budget_lets_every_stray_be_tried_all_the_same() -> None:
+    found = {duty.name: duty.found for duty in duties(_driven(8_000_000))}
+    assert found["strays"] == "16 without effect"
 
 
 @pytest.mark.parametrize("phase", ["late", "short"])
