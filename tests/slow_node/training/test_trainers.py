@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
+from deploy.run.launch import environment
 from deploy.run.processes import free_port
 from schemas.wire.text import json_line
 from slow_node.llm.embedding import DELTA, WEIGHTS_PACKAGE, load_embedder, package_file
@@ -124,7 +125,8 @@ def test_the_adapter_learns_and_the_engine_answers_with_what_was_written(
     assert all(value.any() for name, value in learnt.items() if name.endswith(".lora_b"))  # they begin at zero
     assert json.loads(out.with_suffix(".json").read_text())["pairs"] == 8
     config = json.dumps({"port": (port := free_port()), "polite": False})
-    server = subprocess.Popen([sys.executable, "-c", SERVE, str(out), config], stderr=subprocess.DEVNULL)
+    argv = [sys.executable, "-c", SERVE, str(out), config]
+    server = subprocess.Popen(argv, stderr=subprocess.DEVNULL, env=environment())  # no token: anybody may ask
     try:
         assert until(lambda: answers(port), "the engine did not answer with the adapter")
     finally:
