@@ -27,7 +27,7 @@ from msgspec import structs
 
 from schemas.runtime.clock import NS
 from schemas.wire import topics
-from schemas.wire.messages import Command, Directive, Event, EventKind, Reply, ReplyOutcome, Verdict
+from schemas.wire.messages import Command, Event, EventKind, Reply, ReplyOutcome, Verdict
 from schemas.wire.program import Program, Trigger
 from slow_node.agenda import WAIT_MAX_S, Agenda, told, watch
 from slow_node.answers import Answers, lasts_sentence, waits_sentence
@@ -36,7 +36,7 @@ from slow_node.effects import Abandon, Effect, Interpret, Prefer
 from slow_node.interpreter import Context, Interpretation
 from slow_node.lessons import gentler, taken_back
 from slow_node.memory.preferences import Manner
-from slow_node.planning.directive import Refusal, directive_of
+from slow_node.planning.directive import Refusal, directive_of, usual_directive
 from slow_node.planning.program_text import brief
 from slow_node.planning.replies import sentence
 from slow_node.planning.scene import Scene
@@ -208,9 +208,7 @@ class Deliberation(Pursuing):
         if found.verdict == "refined" and (stands or not pending.again):
             return [self._judged(effect, "refined") for effect in self._act(pending, found, now_ns)]
         if found.verdict == "withdrew" and stands and self._scene is not None:
-            over = Slots(outcome="directive", cancel=True, language=self._language)
-            draft = directive_of(over, self._scene)
-            assert isinstance(draft, Directive)  # normal driving is never refused
+            draft = usual_directive(self._scene, self._language)
             self._agenda = self._pursuit = None
             directive = self._directive(command, draft, self._scene, "the language model took it back", now_ns)
             why = f"the language model took it back: {found.slots.outcome if found.slots else 'unclear'}"
@@ -235,9 +233,8 @@ class Deliberation(Pursuing):
         noted = self._noted(command, found.slots, scene, now_ns)
         program = found.program or Program(outcome=found.slots.outcome, steps=steps_of(found.slots))
         if noted and (program.outcome != "directive" or not program.steps):
-            usual = Slots(outcome="directive", cancel=True, language=self._language, say=self._aside)
-            draft = directive_of(usual, scene)
-            assert isinstance(draft, Directive)  # normal driving is never refused
+            usual = Slots(outcome="directive", cancel=True, language=self._language)
+            draft = usual_directive(scene, self._language, self._aside)
             return [*noted, *self._begin(command, usual, "", scene, draft, now_ns)]
         if program.question and not program.steps:
             self._said = asked(program.question, scene, self._said)
@@ -348,12 +345,10 @@ class Deliberation(Pursuing):
         event = self._event(EventKind.DUE, agenda, agenda.lasts.trigger, now_ns)
         if agenda.next_trigger is not None:
             return [event, *self._move_on(agenda, scene, now_ns)]
-        over = Slots(outcome="directive", cancel=True, language=agenda.language)
-        draft = directive_of(over, scene)
         self._agenda, self._pursuit = None, None
-        assert isinstance(draft, Directive)  # normal driving is never refused
+        draft = usual_directive(scene, agenda.language)
         directive = self._directive(agenda.command, draft, scene, "its time is over", now_ns)
-        return [event, directive, self._done(agenda.command, over, directive.id, now_ns)]
+        return [event, directive, self._done(agenda.command, agenda.language, directive.id, now_ns)]
 
     def _agenda_in_new_world(self, scene: Scene, now_ns: int) -> list[Effect]:
         """What was waited for there does not come here; what is to last begins anew."""
@@ -467,7 +462,7 @@ class Deliberation(Pursuing):
                 return [pursuit.remembered("fulfilled", now_ns), *self._move_on(agenda, scene, now_ns)]
         if not pursuit.fulfilled:
             effects = [
-                self._done(pursuit.command, pursuit.slots, directive_id, now_ns),
+                self._done(pursuit.command, pursuit.slots.language, directive_id, now_ns),
                 pursuit.remembered("fulfilled", now_ns),
             ]
         if not pursuit.hurried and directive.headway_s is None:

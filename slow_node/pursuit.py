@@ -21,6 +21,7 @@ from slow_node.planning.directive import (
     return_directive,
     right_directive,
     slow_lead,
+    usual_directive,
 )
 from slow_node.planning.replies import sentence
 from slow_node.planning.scene import Scene
@@ -153,10 +154,9 @@ class Pursuing(Voice):
         """A drive begins in the passenger's manner, before anything is asked for."""
         if not self.manner.kinds - {"no_passing"} or self._pursuit is not None:
             return []
-        usual = directive_of(Slots(outcome="directive", cancel=True, language=self._language), scene)
-        assert isinstance(usual, Directive)  # normal driving is never refused
         nobody = Command(epoch=scene.epoch, stamp_ns=now_ns, id=0, text="")
-        return [self._directive(nobody, structs.replace(usual, say=""), scene, "as the passenger prefers", now_ns)]
+        draft = structs.replace(usual_directive(scene), say="")
+        return [self._directive(nobody, draft, scene, "as the passenger prefers", now_ns)]
 
     def _watch_over(self, pursuit: Pursuit, before: Scene, scene: Scene, now_ns: int) -> list[Effect]:
         """What a new scene means for it: the end, the way back, another directive, or nothing."""
@@ -192,7 +192,7 @@ class Pursuing(Voice):
         effects += [directive, reply]
         if slots.cancel:
             self._pursuit = None  # giving up is done with its directive: nothing to wait for
-            effects.append(self._done(command, slots, directive.id, now_ns))
+            effects.append(self._done(command, slots.language, directive.id, now_ns))
         return effects
 
     def _plan_again(self, now_ns: int) -> list[Effect]:

@@ -11,7 +11,6 @@ from slow_node.memory.preferences import Manner
 from slow_node.planning.directive import issued
 from slow_node.planning.replies import sentence
 from slow_node.planning.scene import Scene
-from slow_node.understanding.slots import Slots
 
 TEXT_CHARS = 200
 
@@ -46,10 +45,8 @@ class Voice:
             detail=told(trigger),
         )
 
-    def _done(self, command: Command, slots: Slots, directive_id: int, now_ns: int) -> Reply:
-        return self._reply(
-            command, "fulfilled", now_ns, directive_id=directive_id, say=sentence("done", slots.language)
-        )
+    def _done(self, command: Command, language: str, directive_id: int, now_ns: int) -> Reply:
+        return self._reply(command, "fulfilled", now_ns, directive_id=directive_id, say=sentence("done", language))
 
     def _directive(self, command: Command, draft: Directive, scene: Scene, reasoning: str, now_ns: int) -> Directive:
         self._last_id = max(self._last_id + 1, now_ns // 1000)

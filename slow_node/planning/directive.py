@@ -99,7 +99,7 @@ def directive_of(slots: Slots, scene: Scene) -> Directive | Refusal:
     home, kept = scene.home_lane, scene.kept_lane
     back = home if scene.borrowing else None
     if slots.cancel:
-        return _draft(scene, "cruise", say=_say(slots, "cancel"))
+        return usual_directive(scene, slots.language, slots.say)
     limit = scene.lanes[home].speed_limit_mps
     if slots.target_speed_mps is not None and slots.target_speed_mps > FAR_OVER_LIMIT * limit:
         return _refusal(f"{slots.target_speed_mps:.0f} m/s is far over the limit", slots, "unsafe")
@@ -154,6 +154,11 @@ def hurried(slots: Slots) -> bool:
 def onward_directive(slots: Slots, scene: Scene) -> Directive | Refusal:
     """A hurry that goes on after its first success: pass the next slow car, whatever was said about the first."""
     return directive_of(slots.model_copy(update={"lane": "none", "overtake": True, "say": ""}), scene)
+
+
+def usual_directive(scene: Scene, language: str = "en", say: str = "") -> Directive:
+    """Back to normal driving, which is never refused; said in this sentence, or in ours."""
+    return _draft(scene, "cruise", say=say or sentence("cancel", language))
 
 
 def right_directive(scene: Scene, language: str = "en") -> Directive:
