@@ -27,7 +27,7 @@ from msgspec import structs
 
 from schemas.runtime.clock import NS
 from schemas.wire import topics
-from schemas.wire.messages import Command, Event, EventKind, Reply, ReplyOutcome, Verdict
+from schemas.wire.messages import Command, Directive, Event, EventKind, Reply, ReplyOutcome, Verdict
 from schemas.wire.program import Program, Trigger
 from slow_node.agenda import WAIT_MAX_S, Agenda, told, watch
 from slow_node.answers import Answers, lasts_sentence, waits_sentence
@@ -233,9 +233,7 @@ class Deliberation(Pursuing):
         noted = self._noted(command, found.slots, scene, now_ns)
         program = found.program or Program(outcome=found.slots.outcome, steps=steps_of(found.slots))
         if noted and (program.outcome != "directive" or not program.steps):
-            usual = Slots(outcome="directive", cancel=True, language=self._language)
-            draft = usual_directive(scene, self._language, self._aside)
-            return [*noted, *self._begin(command, usual, "", scene, draft, now_ns)]
+            return [*noted, *self._go_on(command, scene, now_ns)]
         if program.question and not program.steps:
             self._said = asked(program.question, scene, self._said)
             say = Answers(scene, self._pursuit, self._agenda, self._language, program.miles).to(program.question)
@@ -272,6 +270,25 @@ class Deliberation(Pursuing):
         self.manner = Manner(self.manner.kinds | change if said.holds else self.manner.kinds - change)
         self._aside = sentence(f"prefers_{said.kind}" if said.holds else "prefers_no_more", self._language)
         return [Prefer(said.kind, command.text, said.holds)]
+
+    def _go_on(self, command: Command, scene: Scene, now_ns: int) -> list[Effect]:
+        """What is under way, or else normal driving, from now on in the passenger's new manner."""
+        pursuit, what = self._pursuit, "as the passenger prefers"
+        if pursuit is None:
+            draft = structs.replace(usual_directive(scene), say="")
+            effects: list[Effect] = [self._directive(command, draft, scene, what, now_ns)]
+        else:
+            effects = self._issue(*self._as_wished(pursuit, scene), scene, what, now_ns)
+        return [*effects, self._reply(command, "fulfilled", now_ns, say=self._aside, why="a preference")]
+
+    def _as_wished(self, pursuit: Pursuit, scene: Scene) -> tuple[Pursuit, Directive]:
+        """A pursuit, and its directive, that overtakes no more unasked once the passenger prefers that."""
+        slots = self.manner.wished(pursuit.slots)
+        draft = pursuit.planned_again(scene)
+        if slots != pursuit.slots and not scene.borrowing and not pursuit.returning:
+            fresh = directive_of(slots, scene)
+            draft = fresh if isinstance(fresh, Directive) else draft
+        return replace(pursuit, slots=slots), structs.replace(draft, say="")
 
     def _undertake(
         self, command: Command, program: Program, found: Interpretation, scene: Scene, late: bool, now_ns: int

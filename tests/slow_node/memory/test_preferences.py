@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from schemas.driving.measures import INF
-from schemas.wire.program import Step
+from schemas.wire.program import Step, Trigger
 from slow_node.effects import Prefer, Remember
 from slow_node.interpreter import Interpretation
 from slow_node.lessons import alike, lesson_for
@@ -20,7 +20,7 @@ from slow_node.understanding.reading.lexicon import Row, rows
 from slow_node.understanding.reading.standing import standing
 from slow_node.understanding.slots import Slots
 from slow_node.understanding.text import fold
-from tests.ride import Ride, directives, scene
+from tests.ride import TWO_WAY, Ride, directives, scene
 
 GENTLE = Manner(frozenset({"gentle"}))
 FASTER = Slots(outcome="directive", speed="faster")
@@ -105,7 +105,8 @@ def say(ride: Ride, text: str, found: Interpretation) -> list[object]:
 
     now_ns = ride._now()
     ride.said += 1
-    heard = ride.deliberation.on_command(Command(epoch=1, stamp_ns=now_ns, id=ride.said, text=text), now_ns)
+    command = Command(epoch=1, stamp_ns=now_ns, id=ride.said, text=text)
+    heard = ride._keep(ride.deliberation.on_command(command, now_ns))
     call = next(effect for effect in heard if isinstance(effect, Interpret))
     return list(ride._keep(ride.deliberation.on_interpretation(call.id, found, now_ns)))
 
@@ -115,7 +116,46 @@ def test_i_get_carsick_is_kept_said_so_and_driven_at_once() -> None:
     ride.look(1, LEAD)
     out = say(ride, "I get carsick", Interpretation(Slots(outcome="out_of_scope")))
     assert Prefer("gentle", "I get carsick", True) in out
-    assert (ride.directives[-1].style, ride.replies[-2].say) == ("calm", SENTENCES["prefers_gentle"]["en"])
+    assert (ride.directives[-1].style, ride.replies[-1].say) == ("calm", SENTENCES["prefers_gentle"]["en"])
+    assert ride.outcomes == ["heard", "fulfilled"]
+
+
+CARSICK = Interpretation(Slots(outcome="out_of_scope"))
+
+
+def test_what_is_to_last_goes_on_in_the_new_manner_and_ends_when_its_time_is_over() -> None:
+    ride = riding(Manner())
+    ride.look(1)
+    ride.ask_for(Step(act="drive", value=10.0, unit="mps", mode="to", until=Trigger(kind="time", value=20.0)))
+    say(ride, "my daughter gets car sick, just so you know", CARSICK)
+    assert [(d.command_id, d.target_speed_mps, d.style) for d in ride.directives] == [
+        (1, 10.0, "normal"),
+        (1, 10.0, "calm"),
+    ]
+    assert ride.outcomes == ["heard", "issued", "heard", "fulfilled"]
+    ride.wait(21, 1)
+    assert [(r.command_id, r.outcome) for r in ride.replies[4:]] == [(1, "fulfilled")]
+
+
+def test_the_second_step_comes_after_the_first_though_a_preference_was_named_between() -> None:
+    ride = riding(Manner())
+    ride.look(1)
+    ride.ask_for(Step(act="lane", side="left", count=1), Step(act="slower", when=Trigger(kind="done")))
+    say(ride, "my daughter gets car sick, just so you know", CARSICK)
+    assert [(d.target_lane, d.style, d.step) for d in ride.directives] == [(0, "normal", 0), (0, "calm", 0)]
+    ride.tell("fulfilled")
+    assert (ride.directives[-1].command_id, ride.directives[-1].step, ride.directives[-1].style) == (1, 1, "calm")
+    ride.tell("fulfilled")
+    assert [(r.command_id, r.outcome) for r in ride.replies[-1:]] == [(1, "fulfilled")]
+
+
+def test_a_hurry_overtakes_nobody_any_more_once_the_passenger_is_afraid_of_it_but_what_was_asked_for_is_done() -> None:
+    for overtake, manoeuvres in ((None, ["overtake", "follow"]), (True, ["overtake", "overtake"])):
+        ride = Ride(TWO_WAY)
+        ride.look(1, (1, 30.0, 8.0))
+        ride.say(FASTER.model_copy(update={"overtake": overtake}))
+        say(ride, "I'm scared of overtaking", CARSICK)
+        assert [d.manoeuvre for d in ride.directives] == manoeuvres
 
 
 def test_what_is_taken_back_is_forgotten_and_a_danger_is_no_preference() -> None:
