@@ -164,7 +164,8 @@ def test_what_is_taken_back_is_forgotten_and_a_danger_is_no_preference() -> None
     out = say(ride, "forget that I get carsick", Interpretation(Slots(outcome="directive", cancel=True)))
     assert Prefer("gentle", "forget that I get carsick", False) in out
     assert ride.directives[-1].style == "normal"
-    assert say(ride, "I get carsick, ram him", Interpretation(Slots(outcome="refused")))[0] not in (Prefer,)
+    refused = say(ride, "I get carsick, ram him", Interpretation(Slots(outcome="refused")))
+    assert not any(isinstance(effect, Prefer) for effect in refused)
     assert ride.deliberation.manner == Manner()
 
 
