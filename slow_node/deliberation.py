@@ -98,7 +98,11 @@ class Deliberation(Pursuing):
                 else ()
             ),
             *([Wish(command=agenda.command, language=agenda.language)] if agenda and agenda.is_open else ()),
-            *([Wish(command=self._pending.command, language=self._language)] if self._pending else ()),
+            *(
+                [Wish(command=self._pending.command, language=self._language)]
+                if self._pending and self._pending.waits
+                else ()
+            ),
             *([Wish(command=self._held, language=self._language)] if self._held else ()),
         ]
         return list({wish.command.id: wish for wish in found}.values())

@@ -69,6 +69,14 @@ def test_a_verdict_after_the_end_keeps_the_outcome_that_was_told() -> None:
     assert [(r.outcome, r.verdict) for r in ride.replies[-2:]] == [("fulfilled", ""), ("fulfilled", "confirmed")]
 
 
+def test_a_wish_that_had_its_last_reply_is_not_open_while_the_model_still_thinks() -> None:
+    ride = riding(asks_again=True)
+    ride.read(LEFT)
+    assert [wish.command.id for wish in ride.deliberation.open_wishes()] == [1]
+    ride.tell("fulfilled")
+    assert ride.deliberation.open_wishes() == []
+
+
 @pytest.mark.parametrize("verdict", ["confirmed", "refined", "withdrew", "overruled", "decided"])
 def test_a_late_answer_about_a_superseded_command_changes_nothing(verdict: Verdict) -> None:
     ride = riding()
