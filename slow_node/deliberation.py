@@ -193,6 +193,10 @@ class Deliberation(Pursuing):
             self._pending = replace(pending, acted=True)
             return self._act(pending, found, now_ns)
         self._pending = None
+        if found.verdict == "withdrew" and not self._stands(pending.command):
+            meant = found.slots.outcome if found.slots else "unclear"
+            why = f"the language model said {meant!r}: nothing is left to be taken back"
+            found = replace(found, verdict="overruled", why=why)
         if found.verdict:
             self.metrics[found.verdict] = self.metrics.get(found.verdict, 0) + 1
         if pending.waits:
@@ -205,13 +209,10 @@ class Deliberation(Pursuing):
 
     def _second_thought(self, pending: _Pending, found: Interpretation, now_ns: int) -> list[Effect]:
         """The model has answered while the car did already what the reader has made of the command."""
-        command, pursuit, agenda = pending.command, self._pursuit, self._agenda
-        stands = (pursuit is not None and pursuit.command.id == command.id and not pursuit.fulfilled) or (
-            agenda is not None and agenda.command.id == command.id and agenda.waits is not None
-        )
-        if found.verdict == "refined" and (stands or not pending.again):
+        command = pending.command
+        if found.verdict == "refined" and (not pending.again or self._stands(command)):
             return [self._judged(effect, "refined") for effect in self._act(pending, found, now_ns)]
-        if found.verdict == "withdrew" and stands and self._scene is not None:
+        if found.verdict == "withdrew" and self._scene is not None:
             draft = usual_directive(self._scene, self._language)
             self._agenda = self._pursuit = None
             directive = self._directive(command, draft, self._scene, "the language model took it back", now_ns)
@@ -223,6 +224,12 @@ class Deliberation(Pursuing):
             return []
         told = self._told[1] if self._told is not None and self._told[0] == command.id else "issued"
         return [self._judged(self._reply(command, told, now_ns, why=found.why), found.verdict)]
+
+    def _stands(self, command: Command) -> bool:
+        """Something of it is under way, or waits."""
+        pursuit, agenda = self._pursuit, self._agenda
+        under_way = pursuit is not None and pursuit.command.id == command.id and not pursuit.fulfilled
+        return under_way or (agenda is not None and agenda.command.id == command.id and agenda.waits is not None)
 
     def _act(self, pending: _Pending, found: Interpretation, now_ns: int) -> list[Effect]:
         """Begin what a command was found to mean, or say why not."""

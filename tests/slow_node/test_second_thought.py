@@ -69,6 +69,18 @@ def test_a_verdict_after_the_end_keeps_the_outcome_that_was_told() -> None:
     assert [(r.outcome, r.verdict) for r in ride.replies[-2:]] == [("fulfilled", ""), ("fulfilled", "confirmed")]
 
 
+def test_what_is_over_cannot_be_withdrawn() -> None:
+    ride = riding()
+    call = ride.read(LEFT)
+    ride.tell("fulfilled")
+    before = len(ride.directives)
+    ride.answer(call, NOTHING, "withdrew")
+    last = ride.replies[-1]
+    assert (last.outcome, last.verdict, len(ride.directives)) == ("fulfilled", "overruled", before)
+    assert "said 'out_of_scope'" in last.why
+    assert "withdrew" not in ride.deliberation.metrics
+
+
 def test_a_wish_that_had_its_last_reply_is_not_open_while_the_model_still_thinks() -> None:
     ride = riding(asks_again=True)
     ride.read(LEFT)
