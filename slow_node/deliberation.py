@@ -34,7 +34,7 @@ from slow_node.answers import Answers, lasts_sentence, waits_sentence
 from slow_node.dialogue import Said, asked, follows, lacks_its_side, resolved, smaller, which_side
 from slow_node.effects import Abandon, Effect, Interpret, Prefer
 from slow_node.interpreter import Context, Interpretation
-from slow_node.lessons import gentler, taken_back
+from slow_node.lessons import taken_back
 from slow_node.memory.preferences import Manner
 from slow_node.planning.directive import Refusal, directive_of, usual_directive
 from slow_node.planning.program_text import brief
@@ -327,8 +327,8 @@ class Deliberation(Pursuing):
             return [*dropped, *self._waiting(agenda, draft.say, now_ns)]
         self._agenda = agenda = agenda.under_way(scene, now_ns)
         say = " ".join(filter(None, (self._whole_of(agenda, draft.say, scene), self._aside)))
-        draft = gentler(structs.replace(draft, say=say), found.lesson)
-        return [*dropped, *self._begin(command, slots, found.why, scene, draft, now_ns)]
+        draft = structs.replace(draft, say=say)
+        return [*dropped, *self._begin(command, slots, found.why, scene, draft, now_ns, found.lesson)]
 
     @staticmethod
     def _whole_of(agenda: Agenda, say: str, scene: Scene) -> str:

@@ -10,6 +10,7 @@ from schemas.driving.measures import INF
 from schemas.runtime.clock import NS
 from schemas.wire.messages import Command, Directive, ReplyOutcome
 from slow_node.effects import Effect, Remember
+from slow_node.lessons import gentler
 from slow_node.planning.directive import (
     Refusal,
     asks_the_same,
@@ -63,6 +64,8 @@ class Pursuit:
     delayed_by: str = ""
     """The mask's reason that last delayed it."""
     min_ttc_s: float = INF
+    lesson: str = ""
+    """What experience on a road like this one says about it."""
 
     @property
     def hurried(self) -> bool:
@@ -173,7 +176,7 @@ class Pursuing(Voice):
         return self._plan_again(now_ns)
 
     def _begin(
-        self, command: Command, slots: Slots, why: str, scene: Scene, draft: Directive, now_ns: int
+        self, command: Command, slots: Slots, why: str, scene: Scene, draft: Directive, now_ns: int, lesson: str = ""
     ) -> list[Effect]:
         effects: list[Effect] = []
         old = self._pursuit
@@ -183,11 +186,9 @@ class Pursuing(Voice):
             effects.append(self._reply(old.command, outcome, now_ns, say=say, why="by a newer command"))
             if old.delayed_by:
                 effects.append(old.remembered(outcome, now_ns))
-        directive = self._directive(command, draft, scene, slots.reasoning, now_ns)
-        lead_id = scene.lead.id if scene.lead else None
-        self._pursuit = Pursuit(
-            command, slots, scene, directive, now_ns, frozenset({directive.id}), lead_id, scene.home_lane
-        )
+        directive = self._directive(command, gentler(draft, lesson), scene, slots.reasoning, now_ns)
+        lead_id, ids = scene.lead.id if scene.lead else None, frozenset({directive.id})
+        self._pursuit = Pursuit(command, slots, scene, directive, now_ns, ids, lead_id, scene.home_lane, lesson=lesson)
         reply = self._reply(command, "issued", now_ns, directive_id=directive.id, say=directive.say, why=why)
         effects += [directive, reply]
         if slots.cancel:
@@ -213,7 +214,7 @@ class Pursuing(Voice):
         self.metrics["replans"] += 1
         pursuit = self._pursuit = replace(pursuit, planned_ns=now_ns)
         again = self._asked_again(pursuit, what, scene)
-        draft = self.manner.styled(pursuit.planned_again(scene))
+        draft = self.manner.styled(gentler(pursuit.planned_again(scene), pursuit.lesson))
         if draft.manoeuvre != "overtake" and asks_the_same(draft, pursuit.directive):
             return again
         return [*self._issue(pursuit, draft, scene, what, now_ns), *again]
@@ -228,6 +229,7 @@ class Pursuing(Voice):
 
         `what`: the reason for it, kept with the directive.
         """
+        draft = gentler(draft, pursuit.lesson)
         directive = self._directive(pursuit.command, draft, scene, f"again: {what}", now_ns)
         lead_id = pursuit.lead_id
         if directive.manoeuvre == "overtake" and not scene.borrowing and scene.lead is not None:

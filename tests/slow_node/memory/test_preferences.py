@@ -219,3 +219,13 @@ def test_after_a_near_miss_the_same_wish_is_driven_calmly() -> None:
     ride.look(1)
     say(ride, "faster", Interpretation(FASTER, lesson="gentler"))
     assert ride.directives[-1].style == "calm"
+
+
+def test_a_lesson_stands_when_the_wish_is_planned_again_and_when_it_is_renewed() -> None:
+    ride = Ride(TWO_WAY)
+    ride.look(1, (1, 30.0, 8.0))
+    say(ride, "overtake", Interpretation(Slots(outcome="directive", overtake=True), lesson="gentler"))
+    ride.tell("delayed", "oncoming traffic")
+    ride.wait(60, 1, (1, 30.0, 8.0))
+    assert len(ride.directives) > 2
+    assert {(d.manoeuvre, d.style) for d in ride.directives} == {("overtake", "normal")}
