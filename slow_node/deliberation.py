@@ -44,7 +44,7 @@ from slow_node.planning.spoken import place
 from slow_node.planning.steps import slots_of
 from slow_node.pursuit import Pursuing, Pursuit
 from slow_node.unanswered import Wish
-from slow_node.understanding.reading.standing import standing
+from slow_node.understanding.reading.standing import is_only_standing, standing
 from slow_node.understanding.reading.values import steps_of
 from slow_node.understanding.slots import Slots
 
@@ -87,6 +87,8 @@ class Deliberation(Pursuing):
         """What was asked for last, in brief."""
         self._aside = ""
         """To be said with the reply to a command."""
+        self._kept_for = -1
+        """The id of the command that was kept as a preference, and asked for nothing else."""
 
     def open_wishes(self) -> list[Wish]:
         """Those whose passenger has not had the last reply."""
@@ -197,6 +199,8 @@ class Deliberation(Pursuing):
             meant = found.slots.outcome if found.slots else "unclear"
             why = f"the language model said {meant!r}: nothing is left to be taken back"
             found = replace(found, verdict="overruled", why=why)
+        if found.verdict == "refined" and self._kept_for == pending.command.id:
+            found = replace(found, verdict="overruled", why="what was said is kept as a preference")
         if found.verdict:
             self.metrics[found.verdict] = self.metrics.get(found.verdict, 0) + 1
         if pending.waits:
@@ -243,7 +247,9 @@ class Deliberation(Pursuing):
         scene, late = self._scene_of(pending, now_ns)
         noted = self._noted(command, found.slots, scene, now_ns)
         program = found.program or Program(outcome=found.slots.outcome, steps=steps_of(found.slots))
-        if noted and (program.outcome != "directive" or not program.steps):
+        if noted and is_only_standing(command.text):
+            self._kept_for = command.id
+        if noted and (self._kept_for == command.id or program.outcome != "directive" or not program.steps):
             return [*noted, *self._go_on(command, scene, now_ns)]
         if program.question and not program.steps:
             self._said = asked(program.question, scene, self._said)

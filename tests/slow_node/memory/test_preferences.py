@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from schemas.driving.measures import INF
+from schemas.wire.messages import Command
 from schemas.wire.program import Step, Trigger
-from slow_node.effects import Prefer, Remember
+from slow_node.effects import Interpret, Prefer, Remember
 from slow_node.interpreter import Interpretation
 from slow_node.lessons import alike, lesson_for
 from slow_node.llm.embedding import HashedEmbedder
@@ -17,7 +18,7 @@ from slow_node.memory.preferences import Manner, Preference
 from slow_node.planning.replies import SENTENCES
 from slow_node.planning.scene import describe
 from slow_node.understanding.reading.lexicon import Row, rows
-from slow_node.understanding.reading.standing import standing
+from slow_node.understanding.reading.standing import is_only_standing, standing
 from slow_node.understanding.slots import Slots
 from slow_node.understanding.text import fold
 from tests.ride import TWO_WAY, Ride, directives, scene
@@ -50,6 +51,14 @@ def test_a_standing_preference_is_known_in_every_language_and_not_beside_it(row:
 )
 def test_what_is_said_for_every_drive_holds_until_it_is_taken_back(command: str, said: tuple[str, bool] | None) -> None:
     assert standing(command) == said
+
+
+@pytest.mark.parametrize("row", rows("standing", "stands"), ids=lambda row: str(row.fields["kind"]))
+def test_what_is_said_for_every_drive_asks_for_nothing_now_unless_more_is_said(row: Row) -> None:
+    assert [c for c in row.fields["matches"] if not is_only_standing(c)] == []
+    assert [
+        c for c in row.fields["matches"] if is_only_standing(f"{c}, go left") or is_only_standing(f"Brake! {c}")
+    ] == []
 
 
 def test_preferences_outlive_the_process_and_can_be_dropped(tmp_path: Path) -> None:
@@ -98,17 +107,19 @@ def test_a_hurry_overtakes_nobody_for_who_is_afraid_of_it_unless_that_is_asked_f
     assert [d.manoeuvre for d in ride.directives] == ["follow", "overtake"]
 
 
-def say(ride: Ride, text: str, found: Interpretation) -> list[object]:
-    """A command in these words, understood so."""
-    from schemas.wire.messages import Command
-    from slow_node.effects import Interpret
-
+def asked(ride: Ride, text: str) -> Interpret:
+    """A command in these words, which is to be understood."""
     now_ns = ride._now()
     ride.said += 1
     command = Command(epoch=1, stamp_ns=now_ns, id=ride.said, text=text)
     heard = ride._keep(ride.deliberation.on_command(command, now_ns))
-    call = next(effect for effect in heard if isinstance(effect, Interpret))
-    return list(ride._keep(ride.deliberation.on_interpretation(call.id, found, now_ns)))
+    return next(effect for effect in heard if isinstance(effect, Interpret))
+
+
+def say(ride: Ride, text: str, found: Interpretation) -> list[object]:
+    """A command in these words, understood so."""
+    call = asked(ride, text)
+    return list(ride._keep(ride.deliberation.on_interpretation(call.id, found, ride._now())))
 
 
 def test_i_get_carsick_is_kept_said_so_and_driven_at_once() -> None:
@@ -121,6 +132,7 @@ def test_i_get_carsick_is_kept_said_so_and_driven_at_once() -> None:
 
 
 CARSICK = Interpretation(Slots(outcome="out_of_scope"))
+SLOWER = Slots(outcome="directive", speed="slower")
 
 
 def test_what_is_to_last_goes_on_in_the_new_manner_and_ends_when_its_time_is_over() -> None:
@@ -147,6 +159,35 @@ def test_the_second_step_comes_after_the_first_though_a_preference_was_named_bet
     assert (ride.directives[-1].command_id, ride.directives[-1].step, ride.directives[-1].style) == (1, 1, "calm")
     ride.tell("fulfilled")
     assert [(r.command_id, r.outcome) for r in ride.replies[-1:]] == [(1, "fulfilled")]
+
+
+@pytest.mark.parametrize("found", [CARSICK, Interpretation(SLOWER)], ids=["read as talk", "read as a wish"])
+def test_who_gets_carsick_begins_no_wish_whatever_is_read_into_it(found: Interpretation) -> None:
+    ride = riding(Manner())
+    ride.look(1)
+    ride.ask_for(Step(act="lane", side="left", count=1))
+    say(ride, "my daughter gets car sick, just so you know", found)
+    assert [(d.command_id, d.target_lane, d.style) for d in ride.directives] == [(1, 0, "normal"), (1, 0, "calm")]
+    assert ride.outcomes == ["heard", "issued", "heard", "fulfilled"]
+
+
+def test_who_gets_carsick_and_asks_for_something_is_given_that() -> None:
+    ride = riding(Manner())
+    ride.look(1)
+    say(ride, "I get carsick, so drive slower", Interpretation(SLOWER))
+    assert (ride.directives[-1].target_speed_mps or 15.0) < 15.0
+    assert (ride.directives[-1].style, ride.outcomes) == ("calm", ["heard", "issued"])
+
+
+def test_a_model_that_reads_a_wish_into_a_preference_is_overruled() -> None:
+    ride = riding(Manner())
+    ride.look(1)
+    ride.ask_for(Step(act="lane", side="left", count=1))
+    words = "my daughter gets car sick"
+    ride.answer(begun := asked(ride, words), SLOWER, provisional=True)
+    ride.answer(begun, SLOWER.model_copy(update={"gap": "larger"}), "refined")
+    assert [d.command_id for d in ride.directives] == [1, 1]
+    assert (ride.replies[-1].outcome, ride.replies[-1].verdict) == ("fulfilled", "overruled")
 
 
 def test_a_hurry_overtakes_nobody_any_more_once_the_passenger_is_afraid_of_it_but_what_was_asked_for_is_done() -> None:
