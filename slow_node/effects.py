@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 
 from schemas.wire.messages import Directive, Event, Reply
 from slow_node.interpreter import Context
-from slow_node.planning.scene import Scene
+from slow_node.memory.bank import Memory
+from slow_node.memory.preferences import Preference
+from slow_node.planning.scene import Scene, describe
 from slow_node.understanding.slots import Slots
 
 
@@ -48,6 +50,18 @@ class Prefer:
     kind: str
     said: str
     holds: bool
+
+
+def keep(memory: Memory, effect: Remember | Prefer) -> None:
+    """Write one to the memory bank. May wait for other processes; raises what SQLite does."""
+    match effect:
+        case Remember():
+            scene = describe(effect.scene)
+            memory.learn(effect.command, scene, effect.slots, effect.outcome, effect.took_s, effect.min_ttc_s)
+        case Prefer(holds=True):
+            memory.prefer(Preference(effect.kind, effect.said))
+        case Prefer():
+            memory.drop(effect.kind)
 
 
 Effect = Prefer | Interpret | Abandon | Remember | Directive | Reply | Event

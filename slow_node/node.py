@@ -18,7 +18,7 @@ from schemas.wire.codec import Fault, decode_command
 from schemas.wire.messages import Directive, Event, EventKind, Reply
 from slow_node.config import BUDGET_S, TOKEN, SlowConfig
 from slow_node.deliberation import Deliberation
-from slow_node.effects import Abandon, Effect, Interpret, Prefer, Remember
+from slow_node.effects import Abandon, Effect, Interpret, Prefer, Remember, keep
 from slow_node.interpreter import ENDPOINT_TRUST, SURE, Interpretation, Interpreter, Style
 from slow_node.journal import Diary
 from slow_node.lessons import lesson_for
@@ -28,8 +28,8 @@ from slow_node.llm.endpoint import is_loopback
 from slow_node.llm.model import MAX_TOKENS, MAX_TOKENS_SHORT, ChatModel
 from slow_node.memory.bank import Memory
 from slow_node.memory.examples import EXAMPLES
-from slow_node.memory.preferences import Manner, Preference
-from slow_node.planning.scene import describe, encode_scene
+from slow_node.memory.preferences import Manner
+from slow_node.planning.scene import encode_scene
 from slow_node.telemetry import telemetry_of
 from slow_node.thought import ThoughtsFile, Trace, shortened, thought_of
 from slow_node.unanswered import Unanswered
@@ -39,6 +39,8 @@ from slow_node.understanding.reading.reader import ProgramReader
 
 NAME = "slow"
 POLL_S = 0.03
+LAST_CHORES_S = 1.0
+"""So long the end waits for what is still to be kept in the memory bank."""
 
 
 class SlowNode:
@@ -65,6 +67,7 @@ class SlowNode:
             self._diary.manner(self._deliberation.manner.kinds, time.monotonic_ns())
         self._interpretation: asyncio.Task[None] | None = None
         self._chores: set[asyncio.Task[None]] = set()
+        self._bank = asyncio.Lock()
         self._seen: tuple[int, int] | None = None
         self._model_ms = 0.0
         self._thoughts = ThoughtsFile(thoughts_path)
@@ -100,6 +103,8 @@ class SlowNode:
         finally:
             self._abandon()
             self._diary.flush(time.monotonic_ns())
+            if self._chores:
+                await asyncio.wait(self._chores, timeout=LAST_CHORES_S)
             await self._model.close()
             self._telemetry.close()
 
@@ -154,20 +159,12 @@ class SlowNode:
                 case Interpret():
                     self._abandon()
                     self._interpretation = asyncio.get_running_loop().create_task(self._interpret(effect))
-                case Prefer():
-                    self._keep_preference(effect)
                 case Abandon():
                     self._abandon()
-                case Remember():
+                case Remember() | Prefer():
                     chore = asyncio.get_running_loop().create_task(self._remember(effect))
                     self._chores.add(chore)
                     chore.add_done_callback(self._chores.discard)
-
-    def _keep_preference(self, effect: Prefer) -> None:
-        if effect.holds:
-            self._memory.prefer(Preference(effect.kind, effect.said))
-        else:
-            self._memory.drop(effect.kind)
 
     def _abandon(self) -> None:
         if self._interpretation is not None:
@@ -232,19 +229,13 @@ class SlowNode:
         self._telemetry.thought(trace, thought)
         self._bus.publish(topics.THOUGHT, shortened(thought))
 
-    async def _remember(self, effect: Remember) -> None:
-        try:
-            await asyncio.to_thread(
-                self._memory.learn,
-                effect.command,
-                describe(effect.scene),
-                effect.slots,
-                effect.outcome,
-                effect.took_s,
-                effect.min_ttc_s,
-            )
-        except Exception as error:  # a bank that is locked, full, or damaged meanwhile: the car drives on without
-            log(NAME, "memory", f"not kept: {type(error).__name__}: {error}"[:300])
+    async def _remember(self, effect: Remember | Prefer) -> None:
+        """One after the other: what was said last holds."""
+        async with self._bank:
+            try:
+                await asyncio.to_thread(keep, self._memory, effect)
+            except Exception as error:  # a bank that is locked, full, or damaged meanwhile: the car drives on without
+                log(NAME, "memory", f"not kept: {type(error).__name__}: {error}"[:300])
 
 
 def build(bus: Bus, config: SlowConfig) -> tuple[SlowNode, Memory]:

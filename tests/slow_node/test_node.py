@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -22,6 +23,7 @@ from schemas.wire.messages import Directive, Event, EventKind, Observation, Repl
 from slow_node.config import SlowConfig
 from slow_node.llm.embedding import load_embedder
 from slow_node.memory.bank import Memory
+from slow_node.memory.preferences import Preference
 from slow_node.node import build
 from slow_node.understanding.refusals import unsafe
 from tests import scenes
@@ -395,3 +397,36 @@ def test_a_node_that_starts_again_tells_the_passenger_what_became_of_the_wish_be
     assert [(reply.outcome, reply.why) for reply in replies] == [("failed", "the slow node was restarted")]
     assert "in ten seconds go left" in replies[0].say
     assert file.read_bytes() == b"[]"
+
+
+CARSICK = "my daughter gets car sick, just so you know"
+
+
+def test_a_bank_that_somebody_else_holds_keeps_nobody_waiting_and_gets_the_preference_afterwards(
+    tmp_path: Path,
+) -> None:
+    path = str(tmp_path / "bank.sqlite")
+    Memory(load_embedder(), path).close()
+    holder = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+    readers: list[Subscription[Reply]] = []
+    heard: list[str] = []
+
+    def lock(bus: LocalBus) -> None:
+        holder.execute("BEGIN IMMEDIATE")
+        readers.append(bus.subscribe(topics.REPLY))
+
+    def answered() -> bool:
+        heard.extend(reply.outcome for reply in readers[0].take())
+        return "fulfilled" in heard
+
+    def release(_: LocalBus) -> None:
+        assert answered()
+        holder.rollback()
+        holder.close()
+
+    nobody = "http://127.0.0.1:9/v1"
+    _, directives = play(nobody, path, lock, look(), say(CARSICK), release, parser=True, asked=answered)
+    assert [d.style for d in directives] == ["calm"]
+    memory = Memory(load_embedder(), path)
+    assert memory.preferences() == (Preference("gentle", CARSICK),)
+    memory.close()

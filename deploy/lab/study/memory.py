@@ -28,13 +28,13 @@ from schemas.wire.messages import Command, Directive, Event, Observation
 from sim_node.config import SimConfig
 from sim_node.node import SimNode
 from slow_node.deliberation import Deliberation
-from slow_node.effects import Effect, Interpret, Prefer, Remember
+from slow_node.effects import Effect, Interpret, Prefer, Remember, keep
 from slow_node.interpreter import Interpretation
 from slow_node.lessons import lesson_for
 from slow_node.llm.embedding import load_embedder
 from slow_node.memory.bank import Memory
-from slow_node.memory.preferences import Manner, Preference
-from slow_node.planning.scene import Scene, describe, encode_scene
+from slow_node.memory.preferences import Manner
+from slow_node.planning.scene import Scene, encode_scene
 from slow_node.planning.steps import summary
 from slow_node.understanding.intent_parser import IntentParser
 from slow_node.understanding.reading.reader import ProgramReader
@@ -112,7 +112,8 @@ class Slow:
                 if isinstance(effect, Interpret):
                     out += self._deliberation.on_interpretation(effect.id, self._found(text, scene), now_ns)
         for effect in out:
-            self._keep(effect)
+            if isinstance(effect, Remember | Prefer):
+                keep(self._memory, effect)
         return next((effect for effect in reversed(out) if isinstance(effect, Directive)), None)
 
     def _found(self, text: str, scene: Scene) -> Interpretation:
@@ -120,22 +121,6 @@ class Slow:
         slots = reading.slots or summary(reading.program, scene, reading.language)
         lesson = lesson_for(slots, scene, self._memory.nearest(text, 4))
         return Interpretation(slots, source="parser", program=reading.program, lesson=lesson)
-
-    def _keep(self, effect: Effect) -> None:
-        match effect:
-            case Remember():
-                self._memory.learn(
-                    effect.command,
-                    describe(effect.scene),
-                    effect.slots,
-                    effect.outcome,
-                    effect.took_s,
-                    effect.min_ttc_s,
-                )
-            case Prefer(holds=True):
-                self._memory.prefer(Preference(effect.kind, effect.said))
-            case Prefer():
-                self._memory.drop(effect.kind)
 
 
 def once(text: str) -> Speaks:
