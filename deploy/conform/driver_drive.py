@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import msgspec
 
+from deploy.conform.verdict import NEWER, OTHER
 from schemas.driving.road import HZ
 from schemas.runtime.bus import Arrivals, ZenohBus
 from schemas.runtime.clock import NS, MonotonicClock, Schedule
@@ -18,8 +19,6 @@ from sim_node.config import SimConfig
 from sim_node.node import SimNode
 
 POLL_S = 0.0005
-NEWER, OTHER = "3.99", "4.0"
-"""A minor version that is to be read, and a major that is to be refused."""
 NONSENSE = (b"\xc1 no message", b"\x93\x01\x02\x03", b"", b"\x81\xa4type\xabobservation")
 
 

@@ -6,9 +6,8 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from statistics import median
 
-from deploy.conform.driver_drive import NEWER, OTHER, Showing, Shown
-from deploy.conform.simulator_duties import TOLERATED, Wrong
-from deploy.conform.verdict import Duty, budget_text
+from deploy.conform.driver_drive import Showing, Shown
+from deploy.conform.verdict import NEWER, OTHER, READABLE, TOLERATED, Duty, Wrong, budget_text, judged
 from schemas.runtime.clock import NS
 
 CLOCKS_NS = 1_000_000
@@ -19,16 +18,13 @@ Judge = Callable[[Showing], str]
 
 def duties(showing: Showing) -> list[Duty]:
     """A verdict per duty."""
-    out = []
-    for name, text, judge in DUTIES:
-        asks = text.format(budget=budget_text(showing.budget_ns))
-        try:
-            if not showing.came and judge is not readable:
-                raise Wrong("no action came")
-            out.append(Duty(name, asks, True, judge(showing)))
-        except Wrong as wrong:
-            out.append(Duty(name, asks, False, str(wrong)))
-    return out
+
+    def found(judge: Judge) -> str:
+        if not showing.came and judge is not readable:
+            raise Wrong("no action came")
+        return judge(showing)
+
+    return judged(DUTIES, showing.budget_ns, found)
 
 
 def _of(showing: Showing, *phases: str) -> list[Shown]:
@@ -142,7 +138,7 @@ def other(showing: Showing) -> str:
 
 
 DUTIES: tuple[tuple[str, str, Judge], ...] = (
-    ("readable", "maps of protocol 3 with finite numbers within their bounds", readable),
+    ("readable", READABLE, readable),
     ("each tick", "every observation is answered, with its tick and epoch", each_tick),
     ("once", "one action per observation, none unasked", once),
     ("late", "within {budget} of the publication", in_time),

@@ -9,11 +9,12 @@ from typing import NamedTuple
 
 import msgspec
 
+from deploy.conform.verdict import OTHER
 from schemas.runtime.bus import Arrivals, ZenohBus
 from schemas.runtime.clock import NS
 from schemas.wire import topics
 from schemas.wire.codec import Fault, decode, encode
-from schemas.wire.messages import Action, Control, Event, EventKind, MetaAction, Observation
+from schemas.wire.messages import Action, Control, Event, MetaAction, Observation
 
 POLL_S = 0.0005
 GIVE_UP_S = 3.0
@@ -138,7 +139,7 @@ class _Strays:
             _without_effect(msgspec.structs.replace(up, answers_tick=seen.tick - 1)),
             _without_effect(msgspec.structs.replace(up, answers_tick=seen.tick + 1)),
             _without_effect(msgspec.structs.replace(up, meta_action=9)),
-            _without_effect(msgspec.structs.replace(up, schema="4.0")),
+            _without_effect(msgspec.structs.replace(up, schema=OTHER)),
             Sent(b"\xc1 no message"),
             Sent(b"\x93\x01\x02\x03"),
         ]
@@ -235,13 +236,8 @@ def _play(
             if left_ns > 0:
                 time.sleep(left_ns / NS)
             bus.publish_bytes(topics.ACTION, sent.payload)
-            step.sent.append(replace_after(sent, time.monotonic_ns() - step.arrived_ns))
+            step.sent.append(sent._replace(after_ns=time.monotonic_ns() - step.arrived_ns))
         step.prompt = all(s.after_ns < drive.budget_ns // 4 for s in step.sent)
-
-
-def replace_after(sent: Sent, after_ns: int) -> Sent:
-    """The same, with when it really left."""
-    return sent._replace(after_ns=after_ns)
 
 
 class _Ear:
@@ -275,8 +271,3 @@ class _Ear:
                 until = time.monotonic() + silent_s
             else:
                 time.sleep(POLL_S)
-
-
-def told_of(events: list[Event]) -> set[int]:
-    """The epochs that an event `world` has announced."""
-    return {event.epoch for event in events if event.kind == EventKind.WORLD}

@@ -8,16 +8,14 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from statistics import median
 
-from deploy.conform.simulator_drive import Drive, Step, told_of
-from deploy.conform.verdict import Duty, budget_text
+from deploy.conform.simulator_drive import GIVE_UP_S, Drive, Step
+from deploy.conform.verdict import READABLE, TOLERATED, Duty, Wrong, budget_text, judged
 from schemas.driving.measures import SPEED_STEP_MPS
 from schemas.driving.road import HZ, ID, VX, VY, X, Y
 from schemas.runtime.clock import NS
 from schemas.wire.codec import rows_of
 from schemas.wire.messages import EventKind, MetaAction
 
-TOLERATED = 0.1
-"""Share of ticks that may differ: the machine is shared, and messages may be dropped."""
 RATE_OFF = 0.1
 STALE_NS, FUTURE_NS = 200_000_000, 1_000_000
 """How old a stamp may be at its arrival, and how far ahead."""
@@ -32,10 +30,6 @@ BRAKE_MPS2, GENTLE_MPS2 = 4.0, 4.5
 """A full brake is more than the one, a gentle one less than the other."""
 
 
-class Wrong(Exception):  # noqa: N818 - what a duty is that does not hold
-    """A duty does not hold; `str()` says why."""
-
-
 Pair = tuple[Step, Step]
 Judge = Callable[[Drive, list[Pair]], str]
 
@@ -44,16 +38,13 @@ def duties(drive: Drive) -> list[Duty]:
     """A verdict per duty, from a whole drive."""
     steps = drive.steps
     pairs = [(a, b) for a, b in pairwise(steps) if a.seen.epoch == b.seen.epoch and b.seen.tick == a.seen.tick + 1]
-    out = []
-    for name, text, judge in DUTIES:
-        asks = text.format(budget=budget_text(drive.budget_ns))
-        try:
-            if not steps and judge is not readable:
-                raise Wrong("no observation could be read")
-            out.append(Duty(name, asks, True, judge(drive, pairs)))
-        except Wrong as wrong:
-            out.append(Duty(name, asks, False, str(wrong)))
-    return out
+
+    def found(judge: Judge) -> str:
+        if not steps and judge is not readable:
+            raise Wrong("no observation could be read")
+        return judge(drive, pairs)
+
+    return judged(DUTIES, drive.budget_ns, found)
 
 
 def _rows(step: Step) -> list[list[float]]:
@@ -71,7 +62,8 @@ def readable(drive: Drive, pairs: Sequence[Pair]) -> str:
 
 def keeps_going(drive: Drive, pairs: Sequence[Pair]) -> str:
     if drive.stopped:
-        raise Wrong(f"no observation for 3 s in the phase '{drive.stopped}': it has stopped, or waits for an answer")
+        where = f"for {GIVE_UP_S:g} s in the phase '{drive.stopped}'"
+        raise Wrong(f"no observation {where}: it has stopped, or waits for an answer")
     return "until the end"
 
 
@@ -160,7 +152,8 @@ def worlds(drive: Drive, pairs: Sequence[Pair]) -> str:
         raise Wrong(f"the world went on after a crash at tick {crashed[0].seen.tick}: a new epoch is asked for")
     if not changes:
         raise Wrong("no new world came: not on `control` restart, nor by driving on for 20 s")
-    untold = [b.epoch for _, b in changes if b.epoch not in told_of(drive.events)]
+    told = {event.epoch for event in drive.events if event.kind == EventKind.WORLD}
+    untold = [b.epoch for _, b in changes if b.epoch not in told]
     if untold:
         raise Wrong(f"no event of kind `world` for epoch {untold[0]}")
     return f"{len(set(epochs))} worlds, each announced"
@@ -310,7 +303,7 @@ def silence(drive: Drive, pairs: Sequence[Pair]) -> str:
 
 
 DUTIES: tuple[tuple[str, str, Judge], ...] = (
-    ("readable", "maps of protocol 3 with finite numbers within their bounds", readable),
+    ("readable", READABLE, readable),
     ("keeps going", "it never ends, nor waits longer than the budget, whatever is sent to it", keeps_going),
     ("rate", "15 observations a second", rate),
     ("stamps", "CLOCK_MONOTONIC of the publication, growing", stamps),

@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, TypeVar
+
+from schemas.wire.messages import SCHEMA_VERSION
 
 SCHEMA = "fastslow.conform/1"
+MAJOR = int(SCHEMA_VERSION.partition(".")[0])
+NEWER, OTHER = f"{MAJOR}.99", f"{MAJOR + 1}.0"
+"""A minor version that is to be read, and a major that is to be refused."""
+READABLE = f"maps of protocol {MAJOR} with finite numbers within their bounds"
+TOLERATED = 0.1
+"""Share of ticks that may differ: the machine is shared, and messages may be dropped."""
+
+J = TypeVar("J")
+
+
+class Wrong(Exception):  # noqa: N818 - what a duty is that does not hold
+    """A duty does not hold; `str()` says why."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +38,19 @@ class Duty:
 def budget_text(budget_ns: int) -> str:
     """As a duty names it."""
     return f"{budget_ns / 1e6:g} ms"
+
+
+def judged(table: Iterable[tuple[str, str, J]], budget_ns: int, judge: Callable[[J], str]) -> list[Duty]:
+    """A verdict per duty of a table of (name, what it asks for, by whom it is judged). judge: says what was found, or
+    raises `Wrong`."""
+    out = []
+    for name, text, by in table:
+        asks = text.format(budget=budget_text(budget_ns))
+        try:
+            out.append(Duty(name, asks, True, judge(by)))
+        except Wrong as wrong:
+            out.append(Duty(name, asks, False, str(wrong)))
+    return out
 
 
 def all_hold(duties: Sequence[Duty]) -> bool:
