@@ -36,7 +36,7 @@ def carriers(inner: ZenohBus, outer: ZenohBus, config: DoorConfig) -> tuple[Carr
         inner.last_fault = f"{topic.name}: {why}"
 
     def told_of(topic: Topic[Any]) -> Subscription[bytes]:
-        """What is said inside, its own heartbeat included, but not what it has just carried in."""
+        """What is said inside; of a topic that it carries in as well, nothing that it puts itself."""
         return inner.subscribe_others(topic) if topic in inward else inner.subscribe_bytes(topic)
 
     named = {topic.name: topic for topic in topics.TOPICS}
@@ -62,8 +62,7 @@ def main() -> None:
             sockets = 0
 
             def metrics() -> dict[str, float]:
-                said = {f"{carrier.name.removeprefix('carry ')}s": float(carrier.carried) for carrier in carrying}
-                return {"sockets": float(sockets), **said}
+                return {"sockets": float(sockets), **{one.name: float(one.carried) for one in carrying}}
 
             with Heartbeat(inner, NAME, metrics):
                 for carrier in carrying:

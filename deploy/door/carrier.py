@@ -55,7 +55,10 @@ def why_not(topic: Topic[Any], payload: bytes, stand_ins: Collection[str] = ()) 
 
 
 class Carrier(threading.Thread):
-    """Carries what `source` yields to `put`, until the session ends. While it waits, the ring keeps the newest."""
+    """Carries what `source` yields to `put`, until the session ends. While it waits, the ring keeps the newest.
+
+    Its name is its direction and its topic, as in `in_event` and `out_event`: some topics pass both ways.
+    """
 
     def __init__(
         self,
@@ -68,7 +71,7 @@ class Carrier(threading.Thread):
         """refuse: told why a payload does not pass; None: all pass, at any pace (what our own processes say).
         stand_ins: see `why_not`.
         """
-        super().__init__(name=f"carry {topic.name}", daemon=True)
+        super().__init__(name=f"{'out' if refuse is None else 'in'}_{topic.name}", daemon=True)
         self._topic, self._source, self._put, self._refuse = topic, source, put, refuse
         self._stand_ins, self._pace = stand_ins, pace_of(topic)
         self.carried = 0

@@ -49,6 +49,7 @@ def test_what_may_not_pass_is_named_and_what_follows_it_still_passes() -> None:
     outside.publish_bytes(topics.COMMAND, b"faster")
     carrier = Carrier(topics.COMMAND, source, inside.publish_bytes, lambda _, why: refused.append(why))
     carrier.run()
+    assert carrier.name == "in_command"
     assert (arrived.take(), refused, carrier.carried) == ([b"faster"], ["10000 bytes exceed 3072"], 1)
 
 

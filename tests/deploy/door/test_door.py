@@ -138,6 +138,15 @@ def test_where_our_fast_node_is_left_out_another_may_drive_through_the_door_and_
             return "fast" in said and "fast" in happened
 
         until_it_comes(speak, both)
+
+        def counts_both_ways() -> bool:
+            door = next((beat.metrics for beat in beats.take() if beat.node == "door"), {})
+            carried_in, carried_out = (
+                {door.get(f"{way}_{name}") for name in ("event", "status")} for way in ("in", "out")
+            )
+            return all(carried_in) and carried_out == {0.0}
+
+        until(counts_both_ways, "the door counts one way into the other")
         for _ in range(20):
             speak()
             time.sleep(0.02)
