@@ -135,7 +135,7 @@ def train_baseline(
     scenes_n, changed = _split(changes, BASELINE_SCENES[algorithm], algorithm, baselines.known_settings(algorithm))
     scenes = mixed_scenes(scenarios, seed, scenes=scenes_n, hurried=bare, masked=not bare)
     facts = {"algorithm": algorithm, "scenarios": list(scenarios), "seed": seed, "steps": steps, **changed}
-    with _progress_bar() as bar, logged(out, 0, OF_BASELINES, facts if track else None) as log:
+    with _progress_bar() as bar:
         task = bar.add_task(f"{algorithm} learning", total=steps)
         return baselines.learn(
             algorithm,
@@ -146,7 +146,7 @@ def train_baseline(
             seed=seed,
             changes=changed,
             watch=lambda done, _: bar.update(task, completed=done),
-            log=log,
+            logs=logged(out, 0, OF_BASELINES, facts if track else None),
         )
 
 

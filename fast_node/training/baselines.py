@@ -18,6 +18,7 @@ import inspect
 import math
 import time
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from fast_node.mask import VERSION as MASK_VERSION
 from fast_node.policies.checkpoint import write_checkpoint
 from fast_node.policies.mlp import WISH, MlpPolicy, load_mlp, masked, told
+from fast_node.training.log import Log
 from fast_node.training.mixed import Mixed
 from fast_node.training.train import DECISION_S, Logits, conditions, random_inputs
 from schemas.driving.features import BOUND, FEATURES, LAYOUT_HASH, N_ROWS, Array
@@ -226,7 +228,7 @@ def learn(
     trial: str = "",
     changes: Mapping[str, Any] | None = None,
     watch: Callable[[int, Logits], None] = lambda *_: None,
-    log: Callable[[int, dict[str, float]], None] = lambda *_: None,
+    logs: AbstractContextManager[Log] | None = None,
 ) -> dict[str, float]:
     """Train one of `LEARNERS` for `steps` decisions and export it to `out` (.safetensors) for
     `fast_node.policies.mlp`.
@@ -237,7 +239,7 @@ def learn(
     for a setting that is of no use.
 
     `watch` is called with the decisions made so far and the policy of that moment, before the first and after each;
-    `log` with them and the figures of that moment, now and then.
+    the log that `logs` opens, once nothing is refused any more, with them and the figures of that moment, now and then.
     """
     check_settings(changes or {}, steps)
     torch.set_num_threads(1)
@@ -269,7 +271,8 @@ def learn(
             logged = done // LOG_EVERY
             log(done, {**metrics, "SPS": done / (time.perf_counter() - started)})
 
-    model.learn(steps, callback=_Watch(after))
+    with logs or nullcontext(lambda *_: None) as log:
+        model.learn(steps, callback=_Watch(after))
     metrics = {name: round(value, 4) for name, value in env.metrics().items()}
     export(
         model,

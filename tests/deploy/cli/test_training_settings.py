@@ -82,6 +82,7 @@ def test_a_baseline_takes_the_settings_of_stable_baselines3_by_their_names(tmp_p
 def test_what_is_no_setting_is_refused_by_name(tmp_path: Path, given: tuple[str, ...], config: str, said: str) -> None:
     code, output, sidecar = trained(tmp_path, *given, config=config)
     assert (code, sidecar) == (2, {})
+    assert not list(tmp_path.glob("p.*"))  # of an earlier run, it would be lost
     assert said in " ".join(output.split())
 
 
