@@ -50,7 +50,7 @@ def train(
         ),
     ] = None,
     learning_rate: Annotated[
-        float | None, typer.Option(min=0.0, help="At the start; it falls to a tenth.", show_default="0.0005")
+        float | None, typer.Option(help="At the start; it falls to a tenth.", show_default="0.0005")
     ] = None,
     mask_preset: Annotated[
         str, typer.Option(help="What the mask assumes of others, in training and in driving: sim or cautious.")

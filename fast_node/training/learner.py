@@ -33,7 +33,7 @@ class LearnerConfig:
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
             least = {"epochs": 1, "minibatch": 1}.get(name, 0)
-            none = name in ("clip", "max_grad_norm") and value == 0  # nothing would be learned
+            none = name in ("lr", "clip", "max_grad_norm") and value == 0  # nothing would be learned
             if not least <= value < math.inf or none:
                 raise ValueError(f"{name} {value} is not a positive number")
         for name in ("gamma", "lam"):

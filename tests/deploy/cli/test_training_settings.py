@@ -49,6 +49,8 @@ def test_a_baseline_takes_the_settings_of_stable_baselines3_by_their_names(tmp_p
         (("--set", "gama=0.9"), "", "ours has no setting 'gama': choose from scenes, gamma"),
         (("--set", "gamma=2"), "", "gamma 2.0 is not within 0..1"),
         (("--set", "gamma=fast"), "", "Expected `float`, got `str`"),
+        (("--learning-rate", "0"), "", "lr 0.0 is not a positive number"),
+        (("--set", "lr=-1"), "", "lr -1.0 is not a positive number"),
         (("--set", "epochs=0"), "", "epochs 0 is not a positive number"),
         (("--set", "max_grad_norm=0"), "", "max_grad_norm 0.0 is not a positive number"),
         (("--algorithm", "dqn", "--set", "buffer_size=0"), "", "buffer_size 0 is not a whole number above 0"),
