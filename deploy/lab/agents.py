@@ -12,7 +12,7 @@ from deploy.run.processes import SIMS
 from fast_node.mask import PRESETS
 from fast_node.policies.checkpoint import read_sidecar
 from fast_node.policies.load import OURS, load_policy
-from fast_node.policies.mlp import BASELINES
+from fast_node.policies.mlp import BASELINES, LEARNERS
 from fast_node.training.rollout import Driver, Fleet
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import MetaAction
@@ -75,11 +75,13 @@ LANGUAGE: dict[str, str] = {
 def trained_as(checkpoint: Path) -> str:
     """The agent whose policy lies in `checkpoint`: "ours", or a baseline such as "ppo-bare".
 
-    Raises `ConfigError` for a file that is neither.
+    Raises `ConfigError` for a file that is neither, and for another baseline's, which is a policy without a name.
     """
     sidecar = read_sidecar(checkpoint)
     algorithm = sidecar.get("algorithm", "ours")
     agent = "ours" if algorithm == "ours" else f"{algorithm}-{sidecar.get('variant')}"
+    if agent not in AGENTS and algorithm in LEARNERS:
+        raise ConfigError(f"{checkpoint.name} holds {agent!r}, which is no agent: give it as --policy {checkpoint}")
     if agent not in AGENTS:
         raise ConfigError(f"{checkpoint.name} holds {agent!r}, which this code does not know: train anew")
     return agent

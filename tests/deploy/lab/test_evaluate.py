@@ -275,6 +275,13 @@ def test_a_checkpoint_that_no_agent_uses_or_nobody_knows_is_refused_with_the_fix
         evaluate_all(None, ["merge"], 1, checkpoint=copied(shipped("ppo", "bare"), tmp_path, algorithm="sarsa"))
 
 
+def test_a_checkpoint_of_a_learner_without_a_row_of_its_own_is_to_be_given_as_a_policy(tmp_path: Path) -> None:
+    mine = copied(shipped("ppo", "masked"), tmp_path, algorithm="maskable-ppo")
+    with pytest.raises(ConfigError, match=f"--policy {mine}"):
+        evaluate_all(None, ["merge"], 1, checkpoint=mine)
+    assert evaluate_all(None, ["merge"], 1, policies=[str(mine)])["rows"][0]["agent"] == str(mine)
+
+
 def test_a_policy_is_not_taken_for_a_baseline_nor_a_baseline_for_a_policy() -> None:
     with pytest.raises(ConfigError, match="holds a baseline"):
         load_attention(shipped("ppo", "bare"))
