@@ -92,8 +92,8 @@ def evaluate(
         list[Path] | None,
         typer.Option(
             metavar="FILE",
-            help="A policy of ours or of a baseline, in the place of its agent's own. Two: compare them behind the "
-            "mask, paired by seed.",
+            help="A policy of ours or of a baseline, in the place of its agent's own; ours drives without the "
+            "shipped plans. Two: compare them behind the mask, paired by seed.",
             show_default="the shipped ones",
         ),
     ] = None,

@@ -105,8 +105,9 @@ def drive(
 ) -> list[EpisodeResult]:
     """One episode per seed, with that seed's traffic and a directive (see `Directive`) from the start or from
     `directive_at_s` on, without words until then, and with another wished speed than the directive's where one is
-    given. `checkpoint` takes the place of the shipped policy of the agent that it was trained as; ours also brings the
-    mask's preset, for whoever drives behind the mask, unless another is given.
+    given. `checkpoint` takes the place of the shipped policy of the agent that it was trained as; ours drives as it
+    was trained, alone: without the plans that the shipped driver adds to its network (see `policies.gaps`). It also
+    brings the mask's preset, for whoever drives behind the mask, unless another is given.
 
     noise_m, noise_mps, dropout: of what it perceives, see `sim_node.observe.perceived`. sim: one of `SIMS`; SUMO's
     seeds follow one another.
