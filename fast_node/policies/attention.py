@@ -155,6 +155,8 @@ def load_attention(path: Path = SHIPPED) -> AttentionPolicy:
     if sidecar.get("layers") != found:
         raise ConfigError(f"{path.name} has {found} layers, its sidecar says {sidecar.get('layers')!r}: train anew")
     try:
+        if (columns := weights["embed.weight"].shape[1]) != LAYOUTS[layout]:
+            raise ValueError(f"{columns} columns instead of {LAYOUTS[layout]}")
         return AttentionPolicy(weights, sidecar)
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise ConfigError(f"{path.name} does not fit its sidecar ({error!r}): train anew") from None

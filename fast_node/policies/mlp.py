@@ -79,6 +79,8 @@ def load_mlp(path: Path) -> MlpPolicy:
     if (found := sidecar.get("mask")) != mask:
         raise ConfigError(f"{path.name} has mask {found!r}, this code {mask!r}: train it anew")
     try:
+        if (columns := weights["0.weight"].shape[1]) != N_ROWS * LAYOUTS[layout]:
+            raise ValueError(f"{columns} columns instead of {N_ROWS * LAYOUTS[layout]}")
         return MlpPolicy(weights, sidecar)
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise ConfigError(f"{path.name} does not fit its sidecar ({error!r}): train it anew") from None

@@ -48,7 +48,11 @@ FEATURES = (
 (for others 0: no prediction of their changes); v_des and set_point: minus own speed, / 5; headway [s] / 3; speed / 10;
 changing: a lane change is under way; y_wished: whether any lane is intended (else y_des is 0); road_left: to the end of
 the lane aimed for [m] / 100, at most 3; cap: the speed that is admitted now minus own speed, / 5; left_open,
-right_open: whether a change to that side may begin."""
+right_open: whether a change to that side may begin; lane: intended lane minus the lane aimed for (0: none is intended),
+for others their lane minus that one; length [m] / 10; opens, ends, aim_ends, goal_left: to where the lane aimed for may
+be left, to its end, to that of the intended lane and to where the task ends [m], / 100, within 0..20; borrows: whether
+the lane aimed for or the intended one is an oncoming one. Where no lane is intended, lane 0 stands for it in aim_ends
+and borrows. For others, what is not said of them is 0."""
 (
     PRESENCE,
     IS_EGO,

@@ -98,6 +98,19 @@ def test_signed_weights_of_other_shapes_or_types_are_refused(tmp_path: Path, cha
     assert refusal(checkpoint(tmp_path, data, json.dumps(sidecar).encode()))
 
 
+@pytest.mark.parametrize(
+    ("source", "first"), [(SHIPPED, "embed.weight"), (shipped("ppo", "masked"), "0.weight")], ids=["ours", "ppo"]
+)
+def test_weights_that_read_fewer_columns_than_their_layout_has_are_refused(
+    tmp_path: Path, source: Path, first: str
+) -> None:
+    weights = load(source.read_bytes())
+    data = save({**weights, first: weights[first][:, :-15].copy()})
+    sidecar = json.loads(source.with_suffix(".json").read_text())
+    sidecar["sha256"] = hashlib.sha256(data).hexdigest()
+    assert "columns instead of" in refusal(checkpoint(tmp_path, data, json.dumps(sidecar).encode()))
+
+
 @pytest.mark.parametrize("key", ["heads", "layers", "mask", "mask_preset", "layout_hash", "algorithm", "sha256"])
 @pytest.mark.parametrize("value", [-1, 0, 10**30, 1.5, "x", "\x1b[2J", [], {}, [[[]]], True])
 def test_a_sidecar_with_a_wrong_value_is_refused(tmp_path: Path, key: str, value: Any) -> None:
