@@ -118,7 +118,7 @@ def _observe_all(
     order: Any,
     out: Any,
 ) -> None:
-    """Fill `out` (S, N, F) with every scene's policy input; order: working space."""
+    """Fill `out` (S, N, F), which comes zeroed, with every scene's policy input; order: working space."""
     for s in range(rows.shape[0]):
         aim, own, x = max(wish_lane[s], 0), target_lane[s], rows[s, 0, X]
         y_des = np.nan if wish_lane[s] < 0 else lanes[s, aim, LANE_Y]
@@ -262,7 +262,7 @@ class Fleet:
     def observe(self) -> Array:
         """Policy input (S, N, F) of what `look` saw last."""
         w = self.world
-        out = np.empty((len(self.wish), N_ROWS, len(FEATURES)), np.float32)
+        out = np.zeros((len(self.wish), N_ROWS, len(FEATURES)), np.float32)
         _observe(
             self._rows,
             self.lanes,

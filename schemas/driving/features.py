@@ -117,7 +117,8 @@ def policy_input(
     order: Any,
     out: Any,
 ) -> None:
-    """Fill `out` (N, F) from rows (V, 9) in `ROW_COLUMNS` and the intent; absent vehicles are zero rows.
+    """Fill `out` (N, F), which comes zeroed, from rows (V, 9) in `ROW_COLUMNS` and the intent; absent vehicles stay
+    zero rows.
 
     y_des [m] is nan where no lane is intended; v_des, set_point, cap (inf: none) [m/s]; headway [s]; road_left [m];
     lane: aimed for, aim: intended (`ANY_LANE`: none); opens, aim_ends, goal_left [m]: see `FEATURES`;
@@ -136,13 +137,8 @@ def policy_input(
             k -= 1
         order[k] = i
         count += 1
-    for k in range(len(out)):
-        o = out[k]
-        for f in range(len(o)):
-            o[f] = 0.0
-        if k == 0 or k > count:
-            continue
-        row = rows[order[k - 1]]
+    for k in range(1, min(count + 1, len(out))):
+        o, row = out[k], rows[order[k - 1]]
         dx, dvx = row[X] - x, row[VX] - vx
         gap = max(abs(dx) - row[LENGTH], 1.0)
         closing = -dvx / gap if dx > 0.0 else dvx / gap
