@@ -199,6 +199,8 @@ class Deliberation(Pursuing):
             meant = found.slots.outcome if found.slots else "unclear"
             why = f"the language model said {meant!r}: nothing is left to be taken back"
             found = replace(found, verdict="overruled", why=why)
+        if found.verdict == "refined" and pending.again and not self._can_be_refined(pending, found, now_ns):
+            found = replace(found, verdict="overruled", why="what is under way stands")
         if found.verdict == "refined" and self._kept_for == pending.command.id:
             found = replace(found, verdict="overruled", why="what was said is kept as a preference")
         if found.verdict:
@@ -214,7 +216,7 @@ class Deliberation(Pursuing):
     def _second_thought(self, pending: _Pending, found: Interpretation, now_ns: int) -> list[Effect]:
         """The model has answered while the car did already what the reader has made of the command."""
         command = pending.command
-        if found.verdict == "refined" and (not pending.again or self._stands(command)):
+        if found.verdict == "refined":
             return [self._judged(effect, "refined") for effect in self._act(pending, found, now_ns)]
         if found.verdict == "withdrew" and self._scene is not None:
             draft = usual_directive(self._scene, self._language)
@@ -224,10 +226,29 @@ class Deliberation(Pursuing):
             said = directive_of(found.slots, self._scene) if found.slots is not None else None
             say = said.say if isinstance(said, Refusal) else sentence("unclear", self._language)
             return [directive, self._judged(self._refused(command, why, "", now_ns, say=say), "withdrew")]
-        if pending.again and found.verdict != "overruled":
+        if pending.again:
             return []
         told = self._told[1] if self._told is not None and self._told[0] == command.id else "issued"
         return [self._judged(self._reply(command, told, now_ns, why=found.why), found.verdict)]
+
+    def _can_be_refined(self, pending: _Pending, found: Interpretation, now_ns: int) -> bool:
+        """Whether another answer about a wish under way changes it. Not once its first stage is done, nor where the
+        answer goes by the wish before it, comes to the same, is late, or asks for what this road does not have."""
+        agenda, standing = self._agenda, self._standing()
+        scene, late = self._scene_of(pending, now_ns)
+        if late or found.slots is None or standing is None or not self._stands(pending.command):
+            return False
+        steps = found.program.steps if found.program is not None else steps_of(found.slots)
+        if found.lesson == "less":
+            steps = smaller(steps)
+        if (
+            not steps
+            or follows(steps)
+            or steps == standing.steps
+            or isinstance(directive_of(found.slots, scene), Refusal)
+        ):
+            return False
+        return agenda is None or agenda.command.id != pending.command.id or agenda.at == 0
 
     def _stands(self, command: Command) -> bool:
         """Something of it is under way, or waits."""

@@ -33,7 +33,7 @@ from slow_node.understanding.reading.reader import ProgramReader, Reading
 from slow_node.understanding.reading.values import steps_of, uses_miles
 from slow_node.understanding.refusals import unsafe
 from slow_node.understanding.slots import Slots, adapted_schema, answer_schema
-from slow_node.verdict import ACTS, Said, agrees, unsaid, weighed
+from slow_node.verdict import ACTS, STANDS, Said, agrees, unsaid, weighed
 
 FROM_MEMORY_COSINE = 0.6
 FROM_MEMORY_WHY = "model unavailable: answered from memory"
@@ -379,9 +379,9 @@ def replace_miles(program: Program, miles: bool) -> Program:
 
 
 def _standing(program: Program, read: _Read | None, scene: Scene) -> _Read:
-    """What is being carried out, in the reader's place: only another answer of great confidence changes it."""
+    """What is being carried out, in the reader's place."""
     language = read.slots.language if read else "en"
-    return _Read(summary(program, scene, language), 1.0, 0.0, program, True)
+    return _Read(summary(program, scene, language), STANDS, 0.0, program, False)
 
 
 def _told(scene: str, context: Context) -> str:

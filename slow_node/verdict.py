@@ -19,6 +19,8 @@ from slow_node.understanding.slots import Slots
 
 ACTS = 0.5
 """From this probability of being right on, the reader's word is acted on before the model has answered."""
+STANDS = 0.9
+"""So likely is what is being carried out, where the model is asked once more: only a surer answer changes it."""
 _MEANINGS = (1.0, KMH, MPH, CAR_LENGTH_M, 60.0, 1000.0, 1609.3)
 """What a number without a unit may have to be multiplied by to be one in SI units."""
 

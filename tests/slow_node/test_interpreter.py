@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from schemas.wire.program import Program, Step
 from slow_node.interpreter import Context, Interpretation, Interpreter, Style, worded
 from slow_node.llm.embedding import load_embedder
 from slow_node.llm.model import ChatModel
@@ -169,6 +170,24 @@ def test_the_reader_is_acted_on_at_once_and_a_less_likely_answer_counts_for_noth
     assert found.slots is not None
     assert (found.verdict, found.slots.speed, found.source) == ("overruled", "faster", "parser")
     assert "said 'stop'" in found.why
+
+
+@pytest.mark.parametrize(
+    ("answer", "odds", "verdict", "act"),
+    [
+        (directive('{"act":"lane","side":"left","count":1}'), 1.0, "confirmed", "lane"),
+        (directive('{"act":"slower"}'), 0.95, "refined", "slower"),
+        (directive('{"act":"slower"}'), 0.85, "overruled", "lane"),
+    ],
+)
+def test_what_is_under_way_is_changed_by_a_second_thought_only_if_that_is_very_sure(
+    answer: str, odds: float, verdict: str, act: str, reader: ProgramReader, memory: Memory
+) -> None:
+    standing = Program(outcome="directive", steps=(Step(act="lane", side="left", count=1),))
+    context = Context(wishes="lane left", again="delayed by the fast system (rear gap in lane)", standing=standing)
+    found, acted, _ = judged(answer, "go left", reader, memory, odds, context)
+    assert acted == []
+    assert (found.verdict, found.program and found.program.steps[0].act) == (verdict, act)
 
 
 def test_what_is_known_by_the_words_is_not_changed_by_any_model(reader: ProgramReader, memory: Memory) -> None:

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import pytest
 
+from schemas.runtime.clock import NS
 from schemas.wire.messages import Verdict
+from schemas.wire.program import Program, Step, Trigger
 from slow_node.effects import Abandon, Interpret
+from slow_node.interpreter import Interpretation
+from slow_node.planning.steps import summary
 from slow_node.understanding.slots import Slots
-from tests.ride import HURRY, LEFT, Ride, directives
+from tests.ride import HURRY, LEFT, Ride, directives, scene
 
 RIGHT = Slots(outcome="directive", lane="right")
 NOTHING = Slots(outcome="out_of_scope")
@@ -139,6 +143,46 @@ def test_a_second_thought_about_what_goes_on_may_refine_it_and_changes_nothing_o
         ride.answer(calls(ride)[-1], RIGHT, "refined")
         assert [d.target_lane for d in directives(list(ride.out))][: len(sent)] == sent
         assert (2 in [d.target_lane for d in ride.directives]) is not over
+
+
+def thought_again(*steps: Step) -> tuple[Ride, Interpret]:
+    """A program whose first step is held up, and the model that is asked about it once more."""
+    ride = riding(asks_again=True)
+    ride.ask_for(*steps)
+    ride.tell("delayed", "rear gap in lane")
+    return ride, calls(ride)[-1]
+
+
+GO_LEFT = Step(act="lane", side="left", count=1)
+
+
+@pytest.mark.parametrize("verdict", ["confirmed", "refined", "overruled", "unanswered"])
+def test_a_second_thought_that_changes_nothing_is_not_told(verdict: Verdict) -> None:
+    ride, call = thought_again(GO_LEFT)
+    assert ride.answer(call, LEFT, verdict) == []
+
+
+def test_a_second_thought_that_takes_the_wish_back_says_so() -> None:
+    ride, call = thought_again(GO_LEFT)
+    ride.answer(call, NOTHING, "withdrew")
+    assert [(r.outcome, r.verdict) for r in ride.replies[-1:]] == [("refused", "withdrew")]
+
+
+def test_a_second_thought_about_what_is_done_does_it_not_again() -> None:
+    ride, call = thought_again(GO_LEFT, Step(act="slower", when=Trigger(kind="done")))
+    ride.tell("fulfilled")
+    assert ride.directives[-1].step == 1
+    assert ride.answer(call, RIGHT, "refined") == []
+    assert ride.deliberation.metrics["overruled"] == 1
+
+
+@pytest.mark.parametrize("steps", [(Step(act="more"),), (Step(act="lane", side="right", count=3),), ()])
+def test_a_second_thought_that_cannot_be_done_leaves_what_stands(steps: tuple[Step, ...]) -> None:
+    ride, call = thought_again(GO_LEFT)
+    program = Program(outcome="directive", steps=steps)
+    slots = summary(program, scene(1), "en") if steps else NOTHING
+    found = Interpretation(slots, program=program, verdict="refined")
+    assert ride.deliberation.on_interpretation(call.id, found, round(ride.now_s * NS)) == []
 
 
 def test_the_model_is_not_asked_again_while_it_thinks_nor_where_it_is_not_to_be() -> None:
