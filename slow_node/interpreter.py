@@ -322,12 +322,11 @@ class Interpreter:
         """The program in an answer, on this road. Raises `ParseError`."""
         try:
             program = replace_miles(read_program(answer), uses_miles(command))
-            if number := unsaid(program, command, read.program if read else None):
-                raise ParseError(f"it names {number}, which nobody said")
         except ParseError as error:
             trace.parses.append(str(error))
             raise
         trace.parses.append("")
+        _refuse_unsaid(program, command, read.program if read else None, trace)
         language = read.slots.language if read else "en"
         slots = summary(program, scene, language).model_copy(update={"reasoning": f"heard: {brief(program)}"})
         same = read is not None and agrees(program, slots, read.program, read.slots)
@@ -336,11 +335,15 @@ class Interpreter:
     def _said_slots(
         self, command: str, answered: Slots, read: _Read | None, nearest: tuple[Example, ...], trace: Trace
     ) -> Said:
-        """A model's slots after the cross-checks, as a program."""
+        """A model's slots after the cross-checks, as a program. Raises `ParseError`."""
         slots, why = self._checked(command, answered, read, nearest)
         if not why and slots.decision() != answered.decision():
             trace.guards.append("numbers are those that were said, and no others")
         program = Program(outcome=slots.outcome, steps=steps_of(slots))
+        known = (
+            None if read is None else structs.replace(read.program, steps=(*read.program.steps, *steps_of(read.slots)))
+        )
+        _refuse_unsaid(program, command, known, trace)
         same = read is not None and slots.decision() == read.slots.decision()
         return Said(program, slots, self._confidence(trace), same, brief(program), why)
 
@@ -371,6 +374,13 @@ class Interpreter:
         if nearest and nearest[0].cosine >= FROM_MEMORY_COSINE:
             return Interpretation(nearest[0].slots, f"{FROM_MEMORY_WHY} ({reason})", source="memory", nearest=nearest)
         return Interpretation(None, reason, model_answered=False, nearest=nearest, verdict="unanswered")
+
+
+def _refuse_unsaid(program: Program, command: str, other: Program | None, trace: Trace) -> None:
+    """Raises `ParseError` for a number that was neither said nor read."""
+    if number := unsaid(program, command, other):
+        trace.parses[-1] = f"it names {number}, which nobody said"
+        raise ParseError(trace.parses[-1])
 
 
 def replace_miles(program: Program, miles: bool) -> Program:

@@ -221,6 +221,35 @@ def test_an_answer_that_does_not_fit_is_told_and_not_driven(
     assert why in found.why
 
 
+@pytest.mark.parametrize(
+    ("command", "slots", "number", "with_reader"),
+    [
+        ("I could do with some more pace on this stretch", '"target_speed_mps":30', "30 mps", True),
+        ("more room would be lovely", '"headway_s":4', "4 s", True),
+        ("more room would be lovely", '"headway_s":4', "4 s", False),
+        ("more room would be lovely", '"gap":"farther","headway_s":4', "", True),
+    ],
+)
+def test_a_number_that_nobody_said_is_not_driven_for_an_endpoint_either(
+    command: str, slots: str, number: str, with_reader: bool, reader: ProgramReader, memory: Memory
+) -> None:
+    scene = encode_scene(observation(car(0, 100, 1, 5), lanes=(lane(0), lane(1))))
+    with FaultyServer(lambda _: answer(f'{{"outcome":"directive",{slots}}}')) as server:
+        model = ChatModel(server.url, "gpt-4o-mini", "")
+        parser = reader if with_reader else None
+        interpreter = Interpreter(memory, model, parser, style="full", k=0, budget_s=20.0, ask="always")
+
+        async def run() -> Interpretation:
+            found = await interpreter.interpret(command, scene)
+            await model.close()
+            return found
+
+        found = asyncio.run(run())
+    numbers = (found.slots.target_speed_mps, found.slots.headway_s) if found.slots else (None, None)
+    assert numbers == (None, None)
+    assert (f"it names {number}, which nobody said" in found.why) == bool(number)
+
+
 def test_a_server_that_does_not_answer_leaves_the_readers_word(reader: ProgramReader, memory: Memory) -> None:
     model = ChatModel("http://127.0.0.1:9/v1", "embedded", "")
     interpreter = Interpreter(memory, model, reader, style="programs", k=0, budget_s=3.0, ask="always")
