@@ -41,11 +41,24 @@ class Drive:
         return 0 <= self.newest.applied_tick == self.newest.tick - 1
 
     def end(self) -> dict[str, Any]:
-        """The summary of the run, which is ended now."""
-        self.process.send_signal(signal.SIGINT)
-        out, _ = self.process.communicate(timeout=60)
-        summary: dict[str, Any] = json.loads(out)
-        return summary
+        return ended(self.process)
+
+
+def ended(process: subprocess.Popen[str]) -> dict[str, Any]:
+    """The summary of a run, which is ended now."""
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=60)
+    summary: dict[str, Any] = json.loads(out)
+    return summary
+
+
+@contextmanager
+def client(port: int, process: subprocess.Popen[str]) -> Iterator[ZenohBus]:
+    """A client of a run, once somebody listens at its port."""
+    until(lambda: listener_of(port) or process.poll() is not None, "nobody listens")
+    assert process.poll() is None, f"the run ended with code {process.returncode}"
+    with open_bus(BusConfig(mode="client", connect=(f"tcp/{TCP_HOST}:{port}",))) as bus:
+        yield bus
 
 
 @contextmanager
@@ -53,10 +66,8 @@ def driving(folder: Path, *more: str) -> Iterator[Drive]:
     """On the highway, without slow node and cockpit, until the block ends."""
     port = free_port()
     process = start(folder, "--port", str(port), "--scenario", "highway", "--without", "slow", "--no-cockpit", *more)
-    config = BusConfig(mode="client", connect=(f"tcp/{TCP_HOST}:{port}",))
     try:
-        until(lambda: listener_of(port), "nobody listens")
-        with open_bus(config) as bus:
+        with client(port, process) as bus:
             yield Drive(process, bus)
     finally:
         process.kill()

@@ -7,7 +7,7 @@ The parts, each a run of its own that writes its row when it is done:
 * `kills`: 30 minutes, and every 20 s one process is killed, each in its turn;
 * `memory`: the slow node is killed 200 times, just as it writes into its memory bank; the supervisor last;
 * `quiet`: an hour with a passenger, the recorder, and the cockpit's page open in a browser;
-* `fuzz`: ten minutes with a stranger who puts damaged messages on every topic.
+* `fuzz`: ten minutes with a stranger who comes in by the door and puts damaged messages on every topic.
 
 A shorter run of less than ten minutes says its slopes, but is not judged by them. With `--shared`, on a machine that
 others load, what runs when nobody else wants the core (recorder, cockpit, embedded model) gets a share like theirs.
@@ -16,7 +16,6 @@ others load, what runs when nobody else wants the core (recorder, cockpit, embed
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import platform
 import random
@@ -26,7 +25,6 @@ import sqlite3
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -39,10 +37,11 @@ from typing import Any
 import psutil
 
 from deploy.run.processes import TCP_HOST, free_port
-from schemas.runtime.bus import BusConfig, BusError, ZenohBus, open_bus
+from schemas.runtime.bus import ZenohBus
 from schemas.wire import topics
 from schemas.wire.codec import encode
 from schemas.wire.messages import Command
+from tests.driving import client, ended
 from tests.running import ROOT
 from tests.soak_browser import page_of
 from tests.soak_meter import Meter
@@ -53,13 +52,11 @@ SPEAK_EVERY_S = 45.0
 KILL_EVERY_S = 20.0
 TOLD = 10
 """Troubles of a run, the last ones."""
-VICTIMS = ("fast", "slow", "sim", "llm", "record", "cockpit")
+VICTIMS = ("fast", "slow", "sim", "llm", "record", "cockpit", "door")
 SAYINGS = (
     "I'm in a hurry to get to work, I want to drive faster", "please slow down a little", "change to the left lane",
     "keep more distance, please", "how fast are we going?", "overtake that car", "never mind", "move to the right",
 )  # fmt: skip
-SHARED = threading.Event()
-"""Whether others load this machine."""
 DRIVE = """
 from deploy.run.processes import RunOptions
 from deploy.run.supervisor import RestartPolicy
@@ -136,11 +133,7 @@ class Drive:
         self.gone.add(pid)
 
     def end(self) -> dict[str, Any]:
-        """The summary of the run, which is ended now."""
-        self.process.send_signal(signal.SIGINT)
-        out, _ = self.process.communicate(timeout=60)
-        summary: dict[str, Any] = json.loads(out)
-        return summary
+        return ended(self.process)
 
 
 def weigh(pid: int) -> None:
@@ -150,8 +143,11 @@ def weigh(pid: int) -> None:
 
 
 @contextmanager
-def driving(seconds: float, policy: dict[str, float] | None = None, **options: Any) -> Iterator[Drive]:
-    """A run in a folder of its own, with its temporary files and its memory bank, once it drives."""
+def driving(seconds: float, shared: bool, policy: dict[str, float] | None = None, **options: Any) -> Iterator[Drive]:
+    """A run in a folder of its own, with its temporary files and its memory bank, once it drives.
+
+    shared: others load this machine.
+    """
     folder, port = Path(tempfile.mkdtemp(prefix="soak-")), free_port()
     (folder / "tmp").mkdir()
     known = {"PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(folder / "data"), "TMPDIR": str(folder / "tmp")}
@@ -166,28 +162,14 @@ def driving(seconds: float, policy: dict[str, float] | None = None, **options: A
         stderr=(folder / "said").open("wb"),
     )
     try:
-        with _client(port, process) as bus:
-            drive = Drive(process, folder, bus, Meter(process.pid, folder, seconds), shared=SHARED.is_set())
+        with client(port, process) as bus:
+            drive = Drive(process, folder, bus, Meter(process.pid, folder, seconds), shared=shared)
             drive.until(lambda: {"sim", "fast"} <= set(drive.pids))
             yield drive
     finally:
         process.kill()
         process.communicate(timeout=60)
         shutil.rmtree(folder, ignore_errors=True)
-
-
-@contextmanager
-def _client(port: int, process: subprocess.Popen[str]) -> Iterator[ZenohBus]:
-    until_s = time.monotonic() + 60.0
-    while True:
-        try:
-            with open_bus(BusConfig(mode="client", connect=(f"tcp/{TCP_HOST}:{port}",))) as bus:
-                yield bus
-                return
-        except BusError:
-            assert process.poll() is None, f"the run ended with code {process.returncode}"
-            assert time.monotonic() < until_s, "nobody listens"
-            time.sleep(0.2)
 
 
 def result(part: str, drive: Drive, did: dict[str, Any], summary: dict[str, Any] | None) -> dict[str, Any]:
@@ -216,11 +198,11 @@ def _said(folder: Path) -> list[str]:
     return (folder / "said").read_text(errors="replace").splitlines()
 
 
-def kills(scale: float) -> dict[str, Any]:
+def kills(scale: float, shared: bool) -> dict[str, Any]:
     seconds = 1800.0 * scale
     killed = dict.fromkeys(VICTIMS, 0)
     back_s: dict[str, list[float]] = {name: [] for name in VICTIMS}
-    with driving(seconds, cockpit_port=0) as drive:
+    with driving(seconds, shared, cockpit_port=0) as drive:
         drive.until(lambda: set(VICTIMS) <= set(drive.pids))
         for turn in range(max(1, round(seconds / KILL_EVERY_S))):
             victim, due_s = VICTIMS[turn % len(VICTIMS)], time.monotonic() + KILL_EVERY_S
@@ -234,11 +216,11 @@ def kills(scale: float) -> dict[str, Any]:
         return result("kills", drive, did, summary)
 
 
-def memory(scale: float) -> dict[str, Any]:
+def memory(scale: float, shared: bool) -> dict[str, Any]:
     times = max(2, round(200 * scale))
     policy = {"first_s": 0.2, "factor": 1.0, "restarts": 10**6}
     rng, written, sound, rows = random.Random(0), 0, 0, 0
-    with driving(times * 6.0, policy, cockpit_port=None, without=("llm", "record")) as drive:
+    with driving(times * 6.0, shared, policy, cockpit_port=None, without=("llm", "record")) as drive:
         bank = drive.folder / "data/memory.sqlite"
         for turn in range(times):
             drive.until(lambda: "slow" in drive.pids)
@@ -277,9 +259,9 @@ def _rows_if_sound(bank: Path) -> int:
     return count if whole else 0
 
 
-def quiet(scale: float) -> dict[str, Any]:
+def quiet(scale: float, shared: bool) -> dict[str, Any]:
     seconds = 3600.0 * scale
-    with driving(seconds, cockpit_port=0) as drive:
+    with driving(seconds, shared, cockpit_port=0) as drive:
         drive.until(lambda: bool(drive.page) and "slow" in drive.pids)
         with page_of(drive.page) as page:
             until_s, look_s = time.monotonic() + seconds, 0.0
@@ -294,9 +276,9 @@ def quiet(scale: float) -> dict[str, Any]:
         return result("quiet", drive, did, summary)
 
 
-def fuzz(scale: float) -> dict[str, Any]:
+def fuzz(scale: float, shared: bool) -> dict[str, Any]:
     seconds, rng, sent = 600.0 * scale, random.Random(0), 0
-    with driving(seconds, cockpit_port=0) as drive:
+    with driving(seconds, shared, cockpit_port=0) as drive:
         drive.until(lambda: "slow" in drive.pids)
         heard, genuine = drive.bus.subscribe_all(64), [encode(Command(epoch=0, stamp_ns=0, id=1, text="x"))]
         until_s = time.monotonic() + seconds
@@ -329,7 +311,19 @@ def damaged(rng: random.Random, payload: bytes) -> bytes:
     return bytes(raw)
 
 
-PARTS: dict[str, Callable[[float], dict[str, Any]]] = {"kills": kills, "memory": memory, "quiet": quiet, "fuzz": fuzz}
+Part = Callable[[float, bool], dict[str, Any]]
+PARTS: dict[str, Part] = {"kills": kills, "memory": memory, "quiet": quiet, "fuzz": fuzz}
+
+
+def driven(part: str, scale: float, shared: bool) -> dict[str, Any]:
+    """The row of a part; of one that breaks off, a row that says why."""
+    began_s = time.monotonic()
+    try:
+        return PARTS[part](scale, shared)
+    except (AssertionError, subprocess.SubprocessError) as error:
+        minutes = round((time.monotonic() - began_s) / 60.0, 1)
+        nothing: dict[str, Any] = {name: {} for name in ("did", "summary", "processes", "disk", "largest_mb", "left")}
+        return nothing | {"part": part, "minutes": minutes, "broken_off": str(error)}
 
 
 def main() -> int:
@@ -343,12 +337,10 @@ def main() -> int:
         parser.error(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")
     if not 0.0 < asked.scale <= 100.0:
         parser.error("--scale is a number above 0")
-    if asked.shared:
-        SHARED.set()
     bad = 0
     for part in asked.parts or PARTS:
         load = psutil.getloadavg()[2]
-        row = PARTS[part](asked.scale)
+        row = driven(part, asked.scale, asked.shared)
         loads = f"load average {load:.1f} before, {psutil.getloadavg()[2]:.1f} after"
         whose = " (shared with others)" if asked.shared else ""
         row["machine"] = f"{platform.machine()}, {psutil.cpu_count()} cores, {loads}{whose}"

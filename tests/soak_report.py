@@ -17,6 +17,8 @@ RSS_MB_PER_MIN, DESCRIPTORS_MORE, PAGE_MB_PER_MIN = 1.0, 5, 0.5
 
 def wrong(row: dict[str, Any]) -> list[str]:
     """What a part did not keep to."""
+    if "broken_off" in row:
+        return [f"broken off: {row['broken_off']}"]
     said, did = row["summary"], row["did"]
     found = [f"left behind: {count} {what}" for what, count in row["left"].items() if count]
     if said.get("collisions"):
@@ -49,15 +51,21 @@ def write(row: dict[str, Any], report: Path = REPORT) -> None:
     rows[row["part"]] = row
     ordered = [rows[part] for part in sorted(rows)]
     kept.write_text(json.dumps({"schema": "soak/1", "rows": ordered}, indent=1) + "\n")
+    report.write_text(page(ordered))
+
+
+def page(rows: list[dict[str, Any]]) -> str:
+    """The report of these parts."""
     lines = [
         "# Long runs, and what they took",
         "",
         "`make soak` writes this page: `python -m tests.soak` says how.",
         "",
     ]
-    for one in ordered:
+    for one in rows:
         lines += [f"## {one['part']}: {one['verdict']}", "", *(f"* Wrong: {what}" for what in one["wrong"])]
         lines += [f"* {one['minutes']} minutes at revision {one['revision']}, on {one['machine']}."]
+        lines += ["* There was no door yet."] if one["processes"] and "deploy.door" not in one["processes"] else []
         lines += [f"* Done: {_words(one['did'])}."]
         lines += [f"* Summary: {_words(one['summary'])}."] if one["summary"] else []
         lines += [f"* Told: {trouble}." for trouble in one.get("troubles", ()) if one["wrong"]]
@@ -69,7 +77,7 @@ def write(row: dict[str, Any], report: Path = REPORT) -> None:
             for name, t in one["processes"].items()
         ]
         lines.append("")
-    report.write_text("\n".join(lines))
+    return "\n".join(lines)
 
 
 def _words(said: dict[str, Any]) -> str:
