@@ -25,12 +25,12 @@ SEARCH_FACTOR = 10
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    choices = ("too", "without", "alone")
+    choices = ("too", "without", "alone", "all")
     parser.addoption("--realtime", choices=choices, default="too", help="what becomes of the tests marked `realtime`")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what `--realtime` does not want; alone: the thorough ones stay out, too.
+    """Leave out what `--realtime` does not want. alone: nothing but these, without the thorough ones; all: with them.
 
     A search draws more examples of each property, whatever number it names for itself.
     """
@@ -38,7 +38,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         wanted: dict[bool, list[pytest.Item]] = {True: [], False: []}
         for test in items:
             realtime, thorough = (test.get_closest_marker(name) is not None for name in ("realtime", "thorough"))
-            wanted[realtime and not thorough if which == "alone" else not realtime].append(test)
+            ours = not realtime if which == "without" else realtime and (which == "all" or not thorough)
+            wanted[ours].append(test)
         config.hook.pytest_deselected(items=wanted[False])
         items[:] = wanted[True]
     if settings.get_current_profile_name() != "search":
