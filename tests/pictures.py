@@ -1,4 +1,4 @@
-"""`make screenshots`: the cockpit in a real browser on the real system, into reports/; one is docs/cockpit.png, too.
+"""`make screenshots`: the cockpit in a real browser on the real system, into reports/; one goes to docs/cockpit.png.
 
 What is seen is driven anew, so that two runs differ in moments, not in what they show. `--only` makes some of them.
 """
@@ -7,14 +7,11 @@ from __future__ import annotations
 
 import argparse
 import functools
-import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from deploy.run.model_server import embedded_server
-from deploy.run.processes import free_port
 from tests.running import HURRY, ROOT
 from tests.system.test_cockpit import CHROMIUM, PATIENCE_MS, QUIET, Run, aside, see, send_to, system
 from tests.waiting import until
@@ -92,6 +89,7 @@ STATES: dict[str, tuple[Callable[[Any], None], int, int]] = {
     "highway-light": (highway_light, 1440, 900),
     "two-way-delay": (delay, 1440, 900),
     "two-way-passing": (passing, 1440, 900),
+    "thought": (thought, 1440, 1500),
     "program": (program, 1440, 900),
     "merge-dense": (dense, 1440, 900),
     "phone": (delay, 390, 1500),
@@ -107,13 +105,11 @@ def to(page: Any, road: str, seed: str) -> None:
 
 def shoot(browser: Any, url: str, name: str, state: Callable[[Any], None], width: int, height: int) -> None:
     page = browser.new_page(viewport={"width": width, "height": height}, color_scheme="dark")
-    page.goto(url)
+    page.goto(url, timeout=PATIENCE_MS)
     page.wait_for_selector("#link[data-is=live],#link[data-is=replay]", timeout=PATIENCE_MS)
     state(page)
-    picture = REPORTS / f"cockpit-{name}.png"
+    picture = FRONT if name == FRONT_STATE else REPORTS / f"cockpit-{name}.png"
     page.screenshot(path=picture)
-    if name == FRONT_STATE:
-        shutil.copy(picture, FRONT)
     print(picture.relative_to(ROOT))
     page.close()
 
@@ -126,7 +122,7 @@ def replayed(page: Any) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    every = [*STATES, "thought", "replay"]
+    every = [*STATES, "replay"]
     parser.add_argument("--only", nargs="*", default=every, choices=every)
     wanted = parser.parse_args().only
     from playwright.sync_api import sync_playwright
@@ -140,24 +136,7 @@ def main() -> None:
                         shoot(browser, run.url, name, *STATES[name])
             if "replay" in wanted:
                 _replay(browser, run)
-        if "thought" in wanted:
-            _thought(browser)
         browser.close()
-
-
-def _thought(browser: Any) -> None:
-    """The embedded model as an endpoint: it is then asked for every command, not only where the parser is unsure."""
-    port = free_port()
-    server = embedded_server(port, 1, adapter=True)
-    assert server is not None, "the language model does not start"
-    try:
-        with (
-            tempfile.TemporaryDirectory() as folder,
-            system(Path(folder), "--scenario", "highway", "--base-url", f"127.0.0.1:{port}") as run,
-        ):
-            shoot(browser, run.url, "thought", thought, 1440, 1500)
-    finally:
-        server.kill()
 
 
 def _replay(browser: Any, run: Run) -> None:
