@@ -309,6 +309,13 @@ def test_what_this_version_sends_is_recorded() -> None:
     assert m.SCHEMA_VERSION in RECORDED, "add its messages that are new or have new fields"
 
 
+def test_every_field_of_what_the_slow_node_took_into_account_is_recorded() -> None:
+    payloads = [base64.b64decode(recorded["journal"]) for recorded in RECORDED.values() if "journal" in recorded]
+    inputs = [one for payload in payloads for one in msgspec.msgpack.decode(payload)["inputs"]]
+    assert {name for one in inputs for name in one} >= set(Input.__struct_fields__)
+    assert {name for one in inputs for name in one.get("found", ())} >= set(Found.__struct_fields__)
+
+
 @CALM
 @given(place=st.integers(0, 3 * WIDTH - 1), bad=st.sampled_from([math.nan, math.inf, -math.inf]))
 def test_rows_that_are_not_finite_are_refused(place: int, bad: float) -> None:
