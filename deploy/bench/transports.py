@@ -26,8 +26,8 @@ Link = tuple[Callable[[bytes], None], Callable[[], bytes]]
 """How an end sends a payload, and how it waits for one."""
 TRANSPORTS: tuple[Transport, ...] = ("floor", "bus", "bus-default", "zmq", "dora")
 """What ours is compared with."""
-PING: Topic[Any] = Topic(name="ping", type=Observation, publisher="bench", hz=15, stale_after_s=1.0, depth=1)
-PONG: Topic[Any] = Topic(name="pong", type=Observation, publisher="bench", hz=15, stale_after_s=1.0, depth=1)
+PING: Topic[Any] = Topic(name="ping", type=Observation, hz=15, stale_after_s=1.0, depth=1)
+PONG: Topic[Any] = Topic(name="pong", type=Observation, hz=15, stale_after_s=1.0, depth=1)
 
 
 class EndConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -31,7 +31,6 @@ class Topic(Generic[M]):
 
     name: str
     type: type[M]
-    publisher: str
     hz: float | None
     stale_after_s: float
     depth: int
@@ -42,18 +41,16 @@ class Topic(Generic[M]):
         return f"{PREFIX}/{self.name}"
 
 
-OBSERVATION = Topic(name="observation", type=m.Observation, publisher="sim", hz=15, stale_after_s=0.2, depth=1)
-ACTION = Topic(name="action", type=m.Action, publisher="fast", hz=15, stale_after_s=0.02, depth=4)
-DIRECTIVE = Topic(name="directive", type=m.Directive, publisher="slow", hz=None, stale_after_s=60.0, depth=1)
-COMMAND = Topic(name="command", type=m.Command, publisher="passenger", hz=None, stale_after_s=10.0, depth=8)
-REPLY = Topic(name="reply", type=m.Reply, publisher="slow", hz=None, stale_after_s=60.0, depth=16)
-EVENT = Topic(name="event", type=m.Event, publisher="any", hz=None, stale_after_s=60.0, depth=64)
-STATUS = Topic(name="status", type=m.Status, publisher="any", hz=5, stale_after_s=1.0, depth=16)
-THOUGHT = Topic(
-    name="thought", type=Thought, publisher="slow", hz=None, stale_after_s=60.0, depth=8, max_bytes=MAX_THOUGHT_BYTES
-)
-CONTROL = Topic(name="control", type=m.Control, publisher="anyone", hz=None, stale_after_s=10.0, depth=8)
-JOURNAL = Topic(name="journal", type=Journal, publisher="slow", hz=None, stale_after_s=60.0, depth=64)
+OBSERVATION = Topic(name="observation", type=m.Observation, hz=15, stale_after_s=0.2, depth=1)
+ACTION = Topic(name="action", type=m.Action, hz=15, stale_after_s=0.02, depth=4)
+DIRECTIVE = Topic(name="directive", type=m.Directive, hz=None, stale_after_s=60.0, depth=1)
+COMMAND = Topic(name="command", type=m.Command, hz=None, stale_after_s=10.0, depth=8)
+REPLY = Topic(name="reply", type=m.Reply, hz=None, stale_after_s=60.0, depth=16)
+EVENT = Topic(name="event", type=m.Event, hz=None, stale_after_s=60.0, depth=64)
+STATUS = Topic(name="status", type=m.Status, hz=5, stale_after_s=1.0, depth=16)
+THOUGHT = Topic(name="thought", type=Thought, hz=None, stale_after_s=60.0, depth=8, max_bytes=MAX_THOUGHT_BYTES)
+CONTROL = Topic(name="control", type=m.Control, hz=None, stale_after_s=10.0, depth=8)
+JOURNAL = Topic(name="journal", type=Journal, hz=None, stale_after_s=60.0, depth=64)
 
 TOPICS: tuple[
     Topic[m.Observation]

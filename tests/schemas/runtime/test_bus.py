@@ -125,9 +125,7 @@ def test_a_namespace_that_is_no_key_is_an_error_in_one_line() -> None:
 
 def test_a_malformed_payload_is_counted_and_skipped(folder: Path) -> None:
     # What an outsider publishes: something else, on the key of directives.
-    not_directives: Topic[Command] = Topic(
-        name="directive", type=Command, publisher="outsider", hz=None, stale_after_s=1.0, depth=1
-    )
+    not_directives: Topic[Command] = Topic(name="directive", type=Command, hz=None, stale_after_s=1.0, depth=1)
     with open_bus(peer(folder, "a")) as a, open_bus(peer(folder, "b", "a")) as b:
         reader = b.subscribe(topics.DIRECTIVE)
         publish_until(lambda: a.publish(topics.DIRECTIVE, directive(1)), reader.peek)

@@ -93,7 +93,7 @@ def test_a_decoder_is_built_once_for_each_type(monkeypatch):
         return build(kind)
 
     monkeypatch.setattr("msgspec.msgpack.Decoder", counted)
-    topic = Topic(name="late", type=Late, publisher="any", hz=None, stale_after_s=1.0, depth=1)
+    topic = Topic(name="late", type=Late, hz=None, stale_after_s=1.0, depth=1)
     message = Late(epoch=1, stamp_ns=1, id=1, text="x")
     assert [decode(topic, encode(message)) for _ in range(3)] == [message] * 3
     assert built == [Late]
