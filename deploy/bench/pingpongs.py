@@ -20,14 +20,11 @@ from multiprocessing.connection import Connection, Listener
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from deploy.bench.deployed_system import Deployment
 from deploy.bench.progress import MeasurementError
 from deploy.bench.transports import EndConfig, Transport, socket_of
 from deploy.run.launch import Launched, children, environment, python_module
 from deploy.run.processes import free_port
-from schemas.runtime.bus import BusConfig
 from schemas.runtime.realtime import Mode
 
 PATIENCE_S = 20.0
@@ -172,7 +169,7 @@ class PingPongs:
                         transport="ours",
                         near=True,
                         folder=str(system.sockets),
-                        bus=msgspec.convert(system.links.peer("sim", "fast"), BusConfig),
+                        bus=system.links.peer("sim", "fast"),
                         observation=str(recorded),
                         realtime=self._realtime,
                     ),
@@ -207,7 +204,7 @@ class PingPongs:
         )
 
     def _end(self, transport: str, name: str, config: EndConfig) -> Launched:
-        argv = python_module("deploy.bench.pingpong_end", msgspec.to_builtins(config))
+        argv = python_module("deploy.bench.pingpong_end", config)
         return self._start(name, argv, self._folder / f"{transport}-{name[:-4]}.log")
 
     def _dora(self, folder: Path, far: EndConfig, near: EndConfig) -> Launched:
@@ -269,4 +266,4 @@ class PingPongs:
 
 
 def _json(config: EndConfig) -> str:
-    return json.dumps(msgspec.to_builtins(config))
+    return json.dumps(config)

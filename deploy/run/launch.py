@@ -26,6 +26,8 @@ from http.client import HTTPException
 from pathlib import Path
 from typing import IO, Protocol
 
+import msgspec
+
 from schemas.runtime.bus import ONE_POOL
 from schemas.runtime.errors import ConfigError
 from slow_node.config import TOKEN
@@ -63,12 +65,12 @@ def environment(*needed: str) -> dict[str, str]:
     }
 
 
-def python_module(module: str, config: Mapping[str, object]) -> tuple[str, ...]:
-    """The command of a program whose only argument is its configuration as JSON.
+def python_module(module: str, config: Mapping[str, object] | msgspec.Struct) -> tuple[str, ...]:
+    """The command of a program whose only argument is its configuration as JSON, in ASCII: a locale may have no more.
 
     It imports nothing from the current folder, where a user may have a `schemas` or `deploy` of his own.
     """
-    return sys.executable, "-P", "-m", module, json.dumps(config)
+    return sys.executable, "-P", "-m", module, json.dumps(config, default=msgspec.to_builtins)
 
 
 @dataclass(frozen=True)

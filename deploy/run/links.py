@@ -14,8 +14,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from schemas.runtime.bus import BusConfig
 from schemas.runtime.bus_settings import Grant, Tls
 from schemas.runtime.errors import ConfigError
@@ -139,11 +137,7 @@ class Links:
             grants=grants,
         )
 
-    def voice(self) -> BusConfig:
-        """Of the supervisor's own link to that router, by which it hears whether it hears."""
-        return msgspec.convert(self.client("supervisor"), BusConfig)
-
-    def peer(self, name: str, *called: str) -> dict[str, Any]:
+    def peer(self, name: str, *called: str) -> BusConfig:
         """Of a node that links to the supervisor and to those that are `called`, and may be called by the others."""
         # The router brings what those may say who are not linked to this node directly.
         brought = tuple({key: None for other in NODES if other not in _DIRECT for key in self.may_put(other)})
@@ -152,44 +146,35 @@ class Links:
             if other != name:
                 who: dict[str, Any] = {"ids": (self.ids[other],)} if other in called else {"logins": (other,)}
                 grants.append(Grant(puts=self.may_put(other), **who))
-        return _plain(
-            BusConfig(
-                listen=(self.socket(name),),
-                connect=tuple(map(self.socket, ("bus", *called))),
-                # A thought or a recording may be long: links to the router and to slow stay ordinary.
-                low_latency=name in ("sim", "fast"),
-                id=self.ids[name],
-                login=name,
-                logins=str(self.logins),
-                grants=tuple(grants),
-            )
+        return BusConfig(
+            listen=(self.socket(name),),
+            connect=tuple(map(self.socket, ("bus", *called))),
+            # A thought or a recording may be long: links to the router and to slow stay ordinary.
+            low_latency=name in ("sim", "fast"),
+            id=self.ids[name],
+            login=name,
+            logins=str(self.logins),
+            grants=tuple(grants),
         )
 
-    def client(self, name: str) -> dict[str, Any]:
+    def client(self, name: str) -> BusConfig:
         """Of a process that links to the supervisor alone."""
         connect = (self.socket("bus"),)
-        return _plain(BusConfig(mode="client", connect=connect, login=name, logins=str(self.logins)))
+        return BusConfig(mode="client", connect=connect, login=name, logins=str(self.logins))
 
-    def outside(self) -> dict[str, Any]:
+    def outside(self) -> BusConfig:
         """Of the router where users come."""
         assert self.door is not None
         grants = tuple(
             Grant(certificates=(name,) if name else (), puts=own(*role.puts), reads=own(*role.reads))
             for name, role in roles_of(self.door, self.left_out).items()
         )
-        return _plain(
-            BusConfig(
-                mode="router",
-                listen=(self.door.listen,),
-                namespace=self.door.name,
-                tls=self.door.tls,
-                grants=grants,
-                most_hz={topic.key: WORDS_HZ for topic in (COMMAND, CONTROL)},
-                for_strangers=True,
-            )
+        return BusConfig(
+            mode="router",
+            listen=(self.door.listen,),
+            namespace=self.door.name,
+            tls=self.door.tls,
+            grants=grants,
+            most_hz={topic.key: WORDS_HZ for topic in (COMMAND, CONTROL)},
+            for_strangers=True,
         )
-
-
-def _plain(config: BusConfig) -> dict[str, Any]:
-    found: dict[str, Any] = msgspec.to_builtins(config)
-    return found

@@ -74,7 +74,7 @@ def run_system(
         with temporary_folder() as sockets:
             links = links_of(options, sockets)
             links.write_logins()
-            with open_bus(links.supervisor()) as bus, open_bus(links.voice()) as voice:
+            with open_bus(links.supervisor()) as bus, open_bus(links.client("supervisor")) as voice:
                 folder, kept = _folder_of(sockets)
                 rows = process_table(options, model, links, folder if kept else None) if table is None else table
                 return _Run(options, bus, voice, rows, policy, folder, model.where, kept).to_its_end()

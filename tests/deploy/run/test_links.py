@@ -36,11 +36,7 @@ def links() -> Iterator[Links]:
 
 
 def peer(links: Links, name: str) -> BusConfig:
-    return msgspec.convert(links.peer(name, *CALLED[name]), BusConfig)
-
-
-def client(links: Links, name: str) -> BusConfig:
-    return msgspec.convert(links.client(name), BusConfig)
+    return links.peer(name, *CALLED[name])
 
 
 def everybody(links: Links, stack: ExitStack) -> dict[str, ZenohBus]:
@@ -48,7 +44,7 @@ def everybody(links: Links, stack: ExitStack) -> dict[str, ZenohBus]:
     configs: dict[str, Any] = {
         "supervisor": links.supervisor(),
         **{name: peer(links, name) for name in CALLED},
-        **{name: client(links, name) for name in ("cockpit", "record", "door")},
+        **{name: links.client(name) for name in ("cockpit", "record", "door")},
     }
     return {name: stack.enter_context(open_bus(config)) for name, config in configs.items()}
 
@@ -95,7 +91,7 @@ def test_who_has_no_password_is_not_linked(links: Links) -> None:
         stranger = BusConfig(mode="client", connect=(links.socket("bus"),))
         with pytest.raises(BusError), open_bus(stranger):
             pass
-        with open_bus(client(links, "cockpit")):
+        with open_bus(links.client("cockpit")):
             pass
 
 
@@ -103,13 +99,13 @@ def test_who_gives_the_name_of_another_with_a_password_of_its_own_is_not_linked(
     forged = links.folder / "forged"
     forged.write_text("fast:guessed\n")
     with open_bus(links.supervisor()):
-        config = msgspec.structs.replace(client(links, "cockpit"), login="fast", logins=str(forged))
+        config = msgspec.structs.replace(links.client("cockpit"), login="fast", logins=str(forged))
         with pytest.raises(BusError), open_bus(config):
             pass
 
 
 def test_a_name_without_a_password_is_told(links: Links) -> None:
-    config = msgspec.structs.replace(client(links, "cockpit"), login="wheels")
+    config = msgspec.structs.replace(links.client("cockpit"), login="wheels")
     with pytest.raises(BusError, match="wheels is not in"), open_bus(config):
         pass
 
