@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 TABLE = ROOT / "tests/faults.toml"
 REPORT = ROOT / "reports/faults.md"
 ARCHITECTURE = ROOT / "ARCHITECTURE.md"
-HEAD = "| what | what the ego does | who mends it |\n| --- | --- | --- |\n"
+HEAD = "| what fails | what the car does | who mends it |\n| --- | --- | --- |\n"
 """Of the table there, which ends with a blank line."""
 
 
@@ -67,7 +67,7 @@ def judged(row: dict[str, Any], outcomes: Outcomes) -> dict[str, Any]:
 
 
 def failures(page: str) -> str:
-    """ARCHITECTURE.md with its table of what dies as `faults.toml` has it."""
+    """ARCHITECTURE.md with its table of what fails as `faults.toml` has it."""
     before, head, rest = page.partition(HEAD)
     _, blank, after = rest.partition("\n\n")
     lines = [f"| {row['part']} | {row['ego']} | {row['mends']} |" for row in rows() if "part" in row]

@@ -33,7 +33,7 @@ def test_a_row_passes_where_all_its_tests_have_run_and_passed() -> None:
     assert judged(row, outcomes)["verdict"] == "fail"
 
 
-def test_the_architectures_table_of_what_dies_is_made_of_these_rows() -> None:
+def test_the_architectures_table_of_what_fails_is_made_of_these_rows() -> None:
     page = ARCHITECTURE.read_text()
     assert HEAD in page
     assert failures(page) == page
