@@ -243,7 +243,13 @@ def interpret(
     full: Full = False,
     score: Annotated[bool, typer.Option("--score", help="Interpret and score a set of our own instead.")] = False,
     which: Annotated[
-        str, typer.Option("--set", help="To score: dev, programs, dialogues, or blind, an exam: not for choosing by.")
+        str,
+        typer.Option(
+            "--set",
+            metavar="NAME|FILE",
+            help="To score: dev, programs, dialogues, a file like these (FILE.jsonl); or an exam, which is not for "
+            "choosing by: blind, strangers, strangers-dialogues.",
+        ),
     ] = "dev",
     experiment: Annotated[
         str | None,
@@ -273,11 +279,12 @@ def interpret(
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads: two threads are slower
     from deploy.lab.interpret import batch
     from deploy.lab.interpret_chatter import chatter_experiment
-    from deploy.lab.interpret_exam import EXAMS, examine
+    from deploy.lab.interpret_exam import examine
     from deploy.lab.interpret_score import SETS, memory_experiment, score_set
     from deploy.lab.interpreter import Ask
     from deploy.run.processes import ModelOptions
     from slow_node.evaluation.chatter import Half
+    from slow_node.evaluation.programs import EXAMS
 
     options = ModelOptions(name=model, base_url=base_url, budget_s=budget_s, max_tokens=max_tokens)
     if ask not in get_args(Ask):
@@ -295,9 +302,12 @@ def interpret(
         if half not in get_args(Half):
             raise typer.BadParameter(f"{half}: choose from {', '.join(get_args(Half))}", param_hint="'--half'")
         raise typer.Exit(chatter_experiment(cast(Half, half), as_json=as_json, per_kind=per_kind, every=every, **told))
-    if which not in (*SETS, *EXAMS):
-        raise typer.BadParameter(f"{which}: choose from {', '.join((*SETS, *EXAMS))}", param_hint="'--set'")
-    if score and which in EXAMS:
+    exam = which in EXAMS or which.endswith(".jsonl")
+    if which not in SETS and not exam:
+        raise typer.BadParameter(
+            f"{which}: choose from {', '.join((*SETS, *EXAMS))}, or give a FILE.jsonl", param_hint="'--set'"
+        )
+    if score and exam:
         raise typer.Exit(examine(which, as_json=as_json, output=output, **told))
     if score:
         raise typer.Exit(score_set(which, as_json=as_json, per_kind=per_kind, output=output, **told))

@@ -1,4 +1,4 @@
-"""`fastslow interpret --score --set programs` or `dialogues`: commands and turns with programs as their labels.
+"""`fastslow interpret --score --set NAME|FILE`: commands with programs as their labels, or dialogues.
 
 A dialogue is held with the deliberation that drives, on a road where every directive is followed at once and in full:
 what is judged is what is asked for, not how it is driven.
@@ -20,21 +20,20 @@ from schemas.wire.messages import Command, Directive, Event, EventKind, Reply
 from schemas.wire.text import json_line
 from slow_node.deliberation import Deliberation
 from slow_node.effects import Effect, Interpret
-from slow_node.evaluation.programs import DIALOGUES_SET, PROGRAMS_SET, met, right, share
-from slow_node.evaluation.score import read_lines
+from slow_node.evaluation.programs import EXAMS, exam_lines, met, right, share
 from slow_node.interpreter import Interpreter
 from slow_node.planning.scene import Scene
 
-EXAMS = ("programs", "dialogues")
 TURN_S = 5.0
 """Between two turns."""
 
 
 def examine(name: str, *, as_json: bool, output: str, **options: Any) -> int:
-    """Score one of `EXAMS`. Exit code."""
+    """Score one of `EXAMS`, or a file like them. Exit code."""
     try:
+        labels = exam_lines(EXAMS.get(name) or Path(name))
         with running_interpreter(**options) as interpreter:
-            rows = _programs(interpreter) if name == "programs" else _dialogues(interpreter)
+            rows = (_dialogues if "turns" in labels[0] else _programs)(interpreter, labels)
     except ConfigError as error:
         print(f"fastslow: {error}", file=sys.stderr)
         return CONFIG
@@ -63,8 +62,7 @@ def _line(name: str, of: dict[str, Any]) -> str:
     return f"{name:<14}{of['right']:>4} of {of['n']:<4} {100 * of['right'] / of['n']:5.1f} % [{low:.0f}, {high:.0f}]"
 
 
-def _programs(interpreter: Interpreter) -> list[dict[str, Any]]:
-    labels = read_lines(PROGRAMS_SET)
+def _programs(interpreter: Interpreter, labels: list[dict[str, Any]]) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = []
     interpret_lines([json.dumps(label) for label in labels], scene_of(DEFAULT_SCENE), interpreter, found.append)
     return [
@@ -72,9 +70,9 @@ def _programs(interpreter: Interpreter) -> list[dict[str, Any]]:
     ]
 
 
-def _dialogues(interpreter: Interpreter) -> list[dict[str, Any]]:
+def _dialogues(interpreter: Interpreter, labels: list[dict[str, Any]]) -> list[dict[str, Any]]:
     async def run() -> list[dict[str, Any]]:
-        rows = [row for dialogue in read_lines(DIALOGUES_SET) for row in await _held(interpreter, dialogue)]
+        rows = [row for dialogue in labels for row in await _held(interpreter, dialogue)]
         await interpreter.close()
         return rows
 

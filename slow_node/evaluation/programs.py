@@ -1,29 +1,87 @@
 """How well commands are read into programs, and what follows in a dialogue: labelled by hand, compared step by step.
 
-A label of `programs.jsonl` is the outcome, the steps and the question; `also` has other readings that are as right. Of
-a step everything counts that says what is done, when and until when; whom it is about counts where the label has it. A
-label of `dialogues.jsonl` says of every turn what its directive changes, against the scene in which it was said.
+A label of a command is the outcome, the steps and the question; `also` has other readings that are as right. Of a
+step everything counts that says what is done, when and until when; whom it is about counts where the label has it. A
+label of a dialogue says of every turn what its directive changes, against the scene in which it was said.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal
 
+import msgspec
+from msgspec import Meta, Struct
+
+from schemas.runtime.process import ConfigError
 from schemas.wire.messages import Directive, Reply
-from slow_node.evaluation.score import wilson95
+from schemas.wire.program import Outcome, Question, Step
+from slow_node.evaluation.score import LineError, read_lines, wilson95
 from slow_node.planning.scene import Scene
 from slow_node.planning.steps import headway_now_s
 
 PROGRAMS_SET: Final = Path(__file__).with_name("programs.jsonl")
 DIALOGUES_SET: Final = PROGRAMS_SET.with_name("dialogues.jsonl")
+STRANGERS_SET: Final = PROGRAMS_SET.with_name("strangers.jsonl")
+STRANGERS_DIALOGUES_SET: Final = PROGRAMS_SET.with_name("strangers-dialogues.jsonl")
+EXAMS: Final = {
+    "programs": PROGRAMS_SET,
+    "dialogues": DIALOGUES_SET,
+    "strangers": STRANGERS_SET,
+    "strangers-dialogues": STRANGERS_DIALOGUES_SET,
+}
+"""By name. The strangers' were written by people who had read one page on what the car can do, and nothing else."""
 NEAR: Final = 0.03
 """A value may be off by this share of the label."""
 SPEED_MPS, HEADWAY_S, CHANGED_S = 0.35, 0.15, 0.05
 """How far a directive's number may lie from the label; and from where on a gap has changed."""
 
 Line = Mapping[str, Any]
+
+
+class _Command(Struct, frozen=True):
+    id: str | int
+    text: str
+    outcome: Outcome
+    kind: str = "all"
+    question: Question = ""
+    steps: tuple[Step, ...] = ()
+    also: tuple[tuple[Step, ...], ...] = ()
+
+
+Expected = Literal["speed", "gap", "lane", "overtake", "question", "outcome", "waits", "cancel", "any"]
+
+
+class _Turn(Struct, frozen=True):
+    say: str
+    expect: Annotated[dict[Expected, Any], Meta(min_length=1, max_length=1)]
+
+
+class _Dialogue(Struct, frozen=True):
+    id: str | int
+    turns: Annotated[tuple[_Turn, ...], Meta(min_length=1)]
+
+
+def exam_lines(path: Path) -> list[dict[str, Any]]:
+    """The labelled lines of an exam: all commands, or all dialogues. Raises `ConfigError` that names the line."""
+    try:
+        lines = read_lines(path)
+        if not lines:
+            raise LineError("it has no line")
+        kind = _Dialogue if "turns" in lines[0] else _Command
+        return [_labelled(line, kind, f"line {number}") for number, line in enumerate(lines, 1)]
+    except (OSError, UnicodeDecodeError, LineError) as error:
+        why = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise ConfigError(f"{path} is no exam: {why}; its lines must be like those of {PROGRAMS_SET.name}") from None
+
+
+def _labelled(line: dict[str, Any], kind: type[_Command | _Dialogue], place: str) -> dict[str, Any]:
+    try:
+        label: dict[str, Any] = msgspec.to_builtins(msgspec.convert(line, kind))
+    except msgspec.ValidationError as error:
+        raise LineError(f"{place}: {error}") from None
+    return label
 
 
 def right(label: Line, output: Line) -> bool:

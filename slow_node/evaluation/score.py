@@ -66,8 +66,10 @@ def plain_text(text: str) -> str:
 
 
 def exam_texts() -> set[str]:
-    """The plain texts of the labelled sets: commands that nothing may be trained on or prompted with."""
-    return {plain_text(row["text"]) for path in (DEV_SET, BLIND_SET) for row in read_lines(path)}
+    """The plain texts of the labelled commands, which nothing may be trained on or prompted with. Turns of dialogues
+    are not among them: "move left" is anybody's."""
+    rows = [row for path in sorted(DEV_SET.parent.glob("*.jsonl")) for row in read_lines(path)]
+    return {plain_text(row["text"]) for row in rows if "text" in row}
 
 
 def wilson95(successes: int, n: int) -> list[float]:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 
+from schemas.runtime.process import ConfigError
 from schemas.wire.program import Program
-from slow_node.evaluation.programs import DIALOGUES_SET, PROGRAMS_SET, met, right
-from slow_node.evaluation.score import read_lines
+from slow_node.evaluation.programs import EXAMS, exam_lines, met, right
+from slow_node.evaluation.score import plain_text
 from slow_node.planning.directive import directive_of
 from slow_node.understanding.slots import Slots
 from tests.ride import scene
 
-LABELS = read_lines(PROGRAMS_SET)
+LABELS = [label for name in ("programs", "strangers") for label in exam_lines(EXAMS[name])]
 
 
 def test_every_label_is_a_program_that_could_be_sent() -> None:
@@ -54,7 +57,35 @@ def test_a_turn_is_judged_by_what_its_directive_changes() -> None:
     assert not met({"speed": "down"}, now, None, [])
 
 
-def test_twenty_dialogues_have_three_to_five_turns() -> None:
-    dialogues = read_lines(DIALOGUES_SET)
-    assert len(dialogues) == 20
+@pytest.mark.parametrize(("name", "count"), [("dialogues", 20), ("strangers-dialogues", 60)])
+def test_dialogues_have_three_to_five_turns(name: str, count: int) -> None:
+    dialogues = exam_lines(EXAMS[name])
+    assert len(dialogues) == count
     assert {len(dialogue["turns"]) for dialogue in dialogues} <= {3, 4, 5}
+
+
+def test_no_command_of_the_strangers_is_there_twice() -> None:
+    texts = [plain_text(label["text"]) for label in exam_lines(EXAMS["strangers"])]
+    assert len(texts) == len(set(texts)) >= 600
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("", "it has no line"),
+        ("{", "line 1: not JSON"),
+        ('{"id": 1, "text": "faster"}', "line 1: Object missing required field `outcome`"),
+        (
+            '{"id": 1, "text": "x", "outcome": "directive", "steps": [{"act": "fly"}]}',
+            "line 1: Invalid enum value 'fly'",
+        ),
+        ('{"id": 1, "turns": [{"say": "x", "expect": {"mood": 1}}]}', "line 1: Invalid enum value 'mood'"),
+        ('{"id": 1, "turns": [{"say": "x", "expect": {}}]}', "line 1: Expected `object` of length >= 1"),
+        ('{"id": 1, "text": "x", "outcome": "unclear"}\n{"id": 2, "turns": []}', "line 2: Object missing"),
+    ],
+)
+def test_a_file_that_is_no_exam_is_refused_by_the_line_that_is_wrong(tmp_path: Path, content: str, told: str) -> None:
+    path = tmp_path / "mine.jsonl"
+    path.write_text(content)
+    with pytest.raises(ConfigError, match=re.escape(told)):
+        exam_lines(path)
