@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -32,6 +29,7 @@ from deploy.cli.options import (
     Sim,
     Traffic,
     names,
+    readable_ends,
     sayable,
 )
 
@@ -42,18 +40,6 @@ if TYPE_CHECKING:
 commands = Commands()
 
 
-@contextmanager
-def _as_one_line() -> Iterator[None]:
-    """What is wrong with how a car is reached ends the command with one line and 78."""
-    from schemas.runtime.errors import ConfigError
-
-    try:
-        yield
-    except ConfigError as error:
-        print(f"fastslow: {error}", file=sys.stderr)
-        raise typer.Exit(78) from None
-
-
 def _certificates(
     listen: str | None, cert: str | None, key: str | None, ca: str | None, name: str | None
 ) -> Tls | None:
@@ -62,7 +48,7 @@ def _certificates(
     from deploy.run.links import car_name, endpoint
     from schemas.runtime.errors import ConfigError
 
-    with _as_one_line():
+    with readable_ends():
         car_name(name or "")
         tls = certificates(cert, key, ca, listens=True)
         if listen:
@@ -76,7 +62,7 @@ def _car(port: int, connect: str | None, cert: str | None, key: str | None, ca: 
     """The car that is meant."""
     from deploy.run.passenger import reach
 
-    with _as_one_line():
+    with readable_ends():
         return reach(port, connect, cert, key, ca, name)
 
 
