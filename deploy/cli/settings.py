@@ -21,10 +21,15 @@ def read_config(context: typer.Context, path: Path | None) -> Path | None:
     """
     if path is None or context.resilient_parsing:
         return path
+    from schemas.runtime.errors import ConfigError
+    from schemas.runtime.files import read_text_bounded
+
     try:
-        said = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise typer.BadParameter(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+        said = tomllib.loads(read_text_bounded(path))
+    except ConfigError as error:
+        raise typer.BadParameter(str(error)) from None
+    except tomllib.TOMLDecodeError as error:
+        raise typer.BadParameter(f"{path}: {error}") from None
     context.meta[_KEPT] = said.pop(TABLE, {})
     if not isinstance(context.meta[_KEPT], dict):
         raise typer.BadParameter(f"{path}: {TABLE} is to be a table, [{TABLE}]")

@@ -78,7 +78,9 @@ def test_a_baseline_takes_the_settings_of_stable_baselines3_by_their_names(tmp_p
         ((), "learner = 1", "learner is to be a table"),
         ((), "seed = ", "c.toml: Invalid value"),
         ((), "seed = 'x'", "Input should be a valid integer"),
-        (("--config", "none.toml"), "", "none.toml: No such file"),
+        (("--config", "none.toml"), "", "there is no file none.toml: check the path"),
+        (("--config", "/dev/zero"), "", "/dev/zero is no plain file: give a file"),
+        pytest.param((), "#" * 50_001, "c.toml is larger than 50,000 bytes", id="a huge file"),
     ],
 )
 def test_what_is_no_setting_is_refused_by_name(tmp_path: Path, given: tuple[str, ...], config: str, said: str) -> None:
