@@ -7,10 +7,10 @@ import shutil
 from contextlib import suppress
 from pathlib import Path
 
+from slow_node.config import THOUGHTS
+
 LOG_BYTES = 5_000_000
 """Of each log; as much of what came before is kept beside it, in `NAME.old.jsonl`."""
-OWN = "thoughts.jsonl"
-"""The slow node looks after this one itself."""
 
 
 def rotate(folder: Path, most_bytes: int = LOG_BYTES) -> None:
@@ -20,8 +20,8 @@ def rotate(folder: Path, most_bytes: int = LOG_BYTES) -> None:
     is lost. A full disk changes nothing.
     """
     for log in folder.glob("*.jsonl"):
-        if log.name == OWN or log.name.endswith(".old.jsonl"):
-            continue
+        if log.name == THOUGHTS or log.name.endswith(".old.jsonl"):
+            continue  # thoughts: the slow node looks after them itself
         with suppress(OSError):
             if log.stat().st_size > most_bytes:
                 shutil.copyfile(log, log.with_suffix(".old.jsonl"))
