@@ -8,6 +8,7 @@ import os
 import shlex
 import socket
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -263,9 +264,9 @@ def process_table(options: RunOptions, model: Model, links: Links, folder: Path 
     if model.embedded:
         table.insert(0, _embedded(model))
     if options.cockpit_port is not None:
-        table.append(_cockpit(options.cockpit_port, links))
+        table.append(_page("cockpit", "deploy.cockpit", options.cockpit_port, links))
     if options.foxglove:
-        table.append(_viewers(links))
+        table.append(_page("foxglove", "deploy.record.live", FOXGLOVE_PORT, links))
     if folder is not None:
         told = {"sim": sim, "fast": fast, "slow": slow}
         table.insert(0, _recorder(options, links, folder, told))
@@ -322,44 +323,20 @@ def door_process(links: Links) -> Process:
         "stand_ins": stand_ins_of(links.left_out),
         "polite": polite,
     }
+    return _aside("door", "deploy.door", config, nice=10 if polite else 0)
+
+
+def _aside(name: str, module: str, config: Mapping[str, object], nice: int = 10) -> Process:
+    """The row of a process beside the loop. It has what the others leave of the processor: slow is not dead."""
     return Process(
-        name="door",
-        argv=python_module("deploy.door", config),
-        critical=False,
-        heartbeat_s=30.0,
-        start_s=SLOW_START_S,
-        nice=10 if polite else 0,
+        name=name, argv=python_module(module, config), critical=False, heartbeat_s=30.0, start_s=SLOW_START_S, nice=nice
     )
 
 
-def _cockpit(port: int, links: Links) -> Process:
-    """It has what the others leave of the processor: slow is not dead."""
-    page = {
-        "bus": links.client("cockpit"),
-        "port": free_port_from(port),  # the same after a restart, so that open pages find it again
-    }
-    return Process(
-        name="cockpit",
-        argv=python_module("deploy.cockpit", page),
-        critical=False,
-        heartbeat_s=30.0,
-        start_s=SLOW_START_S,
-        nice=10,
-    )
-
-
-def _viewers(links: Links) -> Process:
-    """For Foxglove and Lichtblick: what the cockpit is for a browser."""
-    return Process(
-        name="foxglove",
-        argv=python_module(
-            "deploy.record.live", {"bus": links.client("foxglove"), "port": free_port_from(FOXGLOVE_PORT)}
-        ),
-        critical=False,
-        heartbeat_s=30.0,
-        start_s=SLOW_START_S,
-        nice=10,
-    )
+def _page(name: str, module: str, port: int, links: Links) -> Process:
+    """Of what shows the car: the cockpit for a browser, the other for Foxglove and Lichtblick."""
+    # The port is the same after a restart, so that open pages find it again.
+    return _aside(name, module, {"bus": links.client(name), "port": free_port_from(port)})
 
 
 def _recorder(options: RunOptions, links: Links, folder: Path, told: dict[str, dict[str, object]]) -> Process:
@@ -379,14 +356,7 @@ def _recorder(options: RunOptions, links: Links, folder: Path, told: dict[str, d
         "policy": options.policy,
         "about": about,
     }
-    # It runs when nobody else wants to: slow is not dead.
-    return Process(
-        name="record",
-        argv=python_module("deploy.record", config),
-        critical=False,
-        heartbeat_s=30.0,
-        start_s=SLOW_START_S,
-    )
+    return _aside("record", "deploy.record", config, nice=0)  # it runs when nobody else wants to, as it arranges itself
 
 
 def listener_of(port: int) -> str | None:
