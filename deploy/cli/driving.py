@@ -147,6 +147,9 @@ def run(
     record_max_mb: Annotated[
         float, typer.Option(min=1.0, help="For all recordings in runs/ together: the oldest are removed.")
     ] = 300.0,
+    logs_max_mb: Annotated[
+        float, typer.Option(min=1.0, help="For the logs of all runs in runs/ together, when one begins: likewise.")
+    ] = 100.0,
     model: ModelName = None,
     base_url: BaseUrl = None,
     budget_s: BudgetS = None,
@@ -195,6 +198,7 @@ def run(
                 foxglove=foxglove,
                 record=record,
                 record_max_mb=record_max_mb,
+                logs_max_mb=logs_max_mb,
                 model=ModelOptions(name=model, base_url=base_url, budget_s=budget_s, max_tokens=max_tokens),
             )
         )

@@ -142,6 +142,8 @@ class RunOptions:
     model: ModelOptions = ModelOptions()
     record_max_mb: float = 300.0
     """For the recordings of all runs in that folder together; the oldest are removed."""
+    logs_max_mb: float = 100.0
+    """For the logs of all runs in that folder together when this one begins, likewise."""
 
 
 def free_port() -> int:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from deploy.run.hearing import Hearing
 from deploy.run.launch import temporary_folder
-from deploy.run.logs import rotate
+from deploy.run.logs import SUMMARY, SUPERVISOR, open_log, prune, rotate
 from deploy.run.model_choice import choose_model
 from deploy.run.processes import (
     TCP_HOST,
@@ -76,6 +76,8 @@ def run_system(
             links.write_logins()
             with open_bus(links.supervisor()) as bus, open_bus(links.client("supervisor")) as voice:
                 folder, kept = _folder_of(sockets)
+                if kept:
+                    _prune(folder.parent, options.logs_max_mb)
                 rows = process_table(options, model, links, folder if kept else None) if table is None else table
                 return _Run(options, bus, voice, rows, policy, folder, model.where, kept).to_its_end()
     except BusError as error:
@@ -124,7 +126,7 @@ def _folder_of(temporary: Path) -> tuple[Path, bool]:
     """The run's folder, and whether it is kept: where none can be made, one that goes with the run."""
     try:
         folder = new_run_folder()
-        _try_to_write(folder / "supervisor.jsonl")
+        _try_to_write(folder / SUPERVISOR)
         return folder, True
     except (FileExistsError, NotADirectoryError):  # no trouble of the disk, but something in the way
         raise
@@ -134,6 +136,13 @@ def _folder_of(temporary: Path) -> tuple[Path, bool]:
     folder = temporary / "run"
     folder.mkdir()
     return folder, False
+
+
+def _prune(runs: Path, max_mb: float) -> None:
+    """Make room for the logs of this run, and say so."""
+    with contextlib.suppress(OSError):  # what cannot be removed stays
+        if old := prune(runs, max_mb * 1e6):
+            print(f"fastslow: the logs of {len(old)} old runs are removed (--logs-max-mb {max_mb:g})", file=sys.stderr)
 
 
 class _Run:
@@ -153,7 +162,7 @@ class _Run:
         """
         self._options, self._bus = options, bus
         self._folder = folder
-        self._log = open(self._folder / "supervisor.jsonl", "ab", buffering=0)  # noqa: SIM115 - as long as the run
+        self._log = open_log(self._folder)
         self._unkept = not kept
         self._out = sys.stderr if options.as_json else sys.stdout
         self._asked = asked
@@ -224,7 +233,7 @@ class _Run:
 
     def _notice(self, line: str) -> None:
         said = {"t_ns": time.monotonic_ns(), "node": "supervisor", "event": "notice", "detail": line}
-        self._keep("supervisor.jsonl", lambda: self._log.write(json.dumps(said).encode() + b"\n"))
+        self._keep(SUPERVISOR, lambda: self._log.write(json.dumps(said).encode() + b"\n"))
         self._print(f"  {line}")
 
     def _keep(self, name: str, write: Callable[[], object]) -> None:
@@ -337,7 +346,7 @@ class _Run:
         summary = self._summary.result(self._supervisor.restarts, ended_ns)
         summary["refused_payloads"] = dict(self._bus.faults)
         text = json.dumps(summary, indent=2) + "\n"
-        self._keep("summary.json", lambda: (self._folder / "summary.json").write_text(text, encoding="utf-8"))
+        self._keep(SUMMARY, lambda: (self._folder / SUMMARY).write_text(text, encoding="utf-8"))
         if self._options.as_json:
             print(json.dumps(summary), flush=True)
             return summary
@@ -351,6 +360,6 @@ class _Run:
             f"{summary['missed']} missed, {summary['collisions']} collisions, "
             f"directives: {happened(directives, delayed_by)}; "
             f"{summary['restarts']} restarts, age of the applied action p50/p99 {p50}/{p99} ms; "
-            f"{'no log was kept' if self._unkept else self._folder / 'summary.json'}"
+            f"{'no log was kept' if self._unkept else self._folder / SUMMARY}"
         )
         return summary

@@ -10,10 +10,12 @@ from pathlib import Path
 import pytest
 
 from deploy.run.launch import temporary_folder
-from deploy.run.logs import rotate
+from deploy.run.logs import SUMMARY, SUPERVISOR, open_log, prune, rotate
+from deploy.run.processes import RECORDING
 from deploy.run.summary import KEPT, Summary
 from schemas.runtime.errors import ConfigError
 from schemas.wire.messages import Command, Reply, Status
+from slow_node.config import THOUGHTS, WISHES
 from tests.waiting import until
 
 ROOT = Path(__file__).parents[3]
@@ -36,6 +38,28 @@ def test_thoughts_and_old_logs_are_not_cut(tmp_path: Path) -> None:
     rotate(tmp_path, 100)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["slow.old.jsonl", "thoughts.jsonl"]
     assert (tmp_path / "thoughts.jsonl").stat().st_size == 101
+
+
+def test_the_logs_of_the_oldest_runs_go_but_no_recording_no_file_of_others_and_no_run_that_is_going_on(
+    tmp_path: Path,
+) -> None:
+    first, recorded, noted, going_on, newest = (tmp_path / f"2026112{k}T120000Z-{9 - k}" for k in range(5))
+    others = tmp_path / "bench-20261101T120000Z-1"
+    for folder in (first, recorded, noted, going_on, newest, others):
+        folder.mkdir()
+        for name in (SUPERVISOR, "sim.jsonl", THOUGHTS, "thoughts.old.jsonl", WISHES, SUMMARY):
+            (folder / name).write_bytes(b"x" * 100)
+    (recorded / RECORDING).write_bytes(b"x" * 1000)
+    (noted / "notes.txt").write_text("mine")
+    with open_log(going_on):
+        assert prune(tmp_path, 3000) == []
+        assert prune(tmp_path, 2999) == [first]
+        assert not first.exists()
+        assert prune(tmp_path, 1200) == [recorded, noted]
+        assert [path.name for folder in (recorded, noted) for path in folder.iterdir()] == [RECORDING, "notes.txt"]
+        assert prune(tmp_path, 600) == [newest]
+        assert (len([*going_on.iterdir()]), len([*others.iterdir()])) == (6, 6)
+    assert prune(tmp_path, 0) == [going_on]
 
 
 def test_a_flood_of_commands_replies_and_forged_heartbeats_fills_no_summary() -> None:

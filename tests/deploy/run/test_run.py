@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from deploy.run.logs import SUMMARY, SUPERVISOR
 from deploy.run.processes import Model, Process, RunOptions, free_port, links_of, listener_of, process_table
 from deploy.run.status import COLUMNS, Live
 from deploy.run.summary import Summary
@@ -192,6 +193,22 @@ def test_nothing_is_left_after_a_stop(watch: Callable[..., Watched]) -> None:
 def test_backoff_doubles_up_to_its_limit() -> None:
     policy = RestartPolicy(jitter=0.0)
     assert [policy.delay_s(n) for n in range(1, 7)] == [0.5, 1.0, 2.0, 4.0, 8.0, 8.0]
+
+
+def test_a_run_that_begins_removes_the_logs_of_old_ones_beyond_their_bound(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("FASTSLOW_DATA", str(tmp_path / "data"))
+    folders = [tmp_path / "runs" / f"2026112{k}T120000Z-1" for k in range(3)]
+    for folder in folders:
+        folder.mkdir(parents=True)
+        (folder / SUPERVISOR).write_bytes(b"x" * 600_000)
+    table = (fake("sim", "pass", critical=True, finishes=True),)
+    run_system(RunOptions(port=0, as_json=True, logs_max_mb=1.0), table, QUICK)
+    assert "the logs of 2 old runs are removed (--logs-max-mb 1)" in capsys.readouterr().err
+    mine, *old = sorted((tmp_path / "runs").iterdir(), key=lambda folder: folder in folders)
+    assert (old, (mine / SUMMARY).exists()) == (folders[2:], True)
 
 
 RUN = """
