@@ -116,8 +116,9 @@ class SlowNode:
             self._diary.scene(observation.epoch, observation.tick, now_ns)
             self._carry_out(self._deliberation.on_scene(encode_scene(observation), now_ns))
             # Only now: who listens is known to a fresh process no earlier than who speaks.
-            self._carry_out([ended(wish, observation.epoch, now_ns) for wish in self._left])
-            self._left = []
+            if self._left:
+                left, self._left = self._left, []
+                self._carry_out([ended(wish, observation.epoch, now_ns) for wish in left])
         for event in self._events.take():
             self._diary.event(event, now_ns)
             self._carry_out(self._deliberation.on_event(event, now_ns))
@@ -137,8 +138,6 @@ class SlowNode:
                 why = f"internal error: {type(error).__name__}"
                 self._carry_out(self._deliberation.refuse_payload(why, command.id, now_ns))
 
-        self._unanswered.keep([*self._left, *self._deliberation.open_wishes()])
-
     def _tell_of(self, error: Exception) -> None:
         """Log an error of ours, once a second at most."""
         now_s = time.monotonic()
@@ -147,6 +146,9 @@ class SlowNode:
             log(NAME, "fault", f"{type(error).__name__}: {error}"[:500])
 
     def _carry_out(self, effects: list[Effect]) -> None:
+        """Do them; and keep what is open after them, which nothing else changes."""
+        if not effects:
+            return
         for effect in effects:
             match effect:
                 case Directive():
@@ -165,6 +167,7 @@ class SlowNode:
                     chore = asyncio.get_running_loop().create_task(self._remember(effect))
                     self._chores.add(chore)
                     chore.add_done_callback(self._chores.discard)
+        self._unanswered.keep([*self._left, *self._deliberation.open_wishes()])
 
     def _abandon(self) -> None:
         if self._interpretation is not None:
