@@ -22,12 +22,12 @@ class Diary:
 
     def __init__(self, send: Callable[[Journal], None]) -> None:
         self._send, self._seq = send, 0
-        self._scenes: list[Input] = []
+        self._waiting: list[Input] = []
 
     def scene(self, epoch: int, tick: int, now_ns: int) -> None:
         """An observation was looked at."""
-        self._scenes.append(Input(now_ns=now_ns, epoch=epoch, tick=tick))
-        if len(self._scenes) >= SCENES:
+        self._waiting.append(Input(now_ns=now_ns, epoch=epoch, tick=tick))
+        if len(self._waiting) >= SCENES:
             self.flush(now_ns)
 
     def event(self, event: Event, now_ns: int) -> None:
@@ -44,14 +44,14 @@ class Diary:
         self._say(Input(now_ns=now_ns, found=as_found(found), id=identity))
 
     def manner(self, kinds: frozenset[str], now_ns: int) -> None:
-        """What is preferred on every drive."""
-        self._say(Input(now_ns=now_ns, manner=tuple(sorted(kinds))))
+        """What is preferred on every drive. Goes out with the first scenes: before, nobody listens yet."""
+        self._waiting.append(Input(now_ns=now_ns, manner=tuple(sorted(kinds))))
 
     def flush(self, now_ns: int) -> None:
-        """Send the ticks that wait."""
-        if self._scenes:
-            scenes, self._scenes = tuple(self._scenes), []
-            self._publish(scenes, now_ns)
+        """Send what waits."""
+        if self._waiting:
+            inputs, self._waiting = tuple(self._waiting), []
+            self._publish(inputs, now_ns)
 
     def _say(self, one: Input) -> None:
         self.flush(one.now_ns)

@@ -19,6 +19,7 @@ import pytest
 from schemas.runtime.bus import Subscription
 from schemas.runtime.local_bus import LocalBus
 from schemas.wire import topics
+from schemas.wire.journal import Journal
 from schemas.wire.messages import Directive, Event, EventKind, Observation, Reply
 from slow_node.config import SlowConfig
 from slow_node.llm.embedding import load_embedder
@@ -430,3 +431,20 @@ def test_a_bank_that_somebody_else_holds_keeps_nobody_waiting_and_gets_the_prefe
     memory = Memory(load_embedder(), path)
     assert memory.preferences() == (Preference("gentle", CARSICK),)
     memory.close()
+
+
+def test_the_journal_begins_with_the_passengers_manner_for_who_listens_only_once_the_node_is_there(
+    tmp_path: Path,
+) -> None:
+    path = str(tmp_path / "bank.sqlite")
+    memory = Memory(load_embedder(), path)
+    memory.prefer(Preference("gentle", CARSICK))
+    memory.close()
+    readers: list[Subscription[Journal]] = []
+
+    def listen(bus: LocalBus) -> None:
+        readers.append(bus.subscribe(topics.JOURNAL))
+
+    play("http://127.0.0.1:9/v1", path, listen, look())
+    first = readers[0].take()[0]
+    assert (first.seq, [one.manner for one in first.inputs]) == (0, [("gentle",), None])
