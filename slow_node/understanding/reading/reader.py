@@ -13,6 +13,7 @@ from slow_node.understanding.intent_parser import IntentParser, Parsed
 from slow_node.understanding.reading.addressed import Addressed
 from slow_node.understanding.reading.clauses import Clause, clauses, sentences
 from slow_node.understanding.reading.lexicon import VULNERABLE, Found, Row, bare, rows, searchable, side_said
+from slow_node.understanding.reading.standing import standing
 from slow_node.understanding.reading.values import corrected, steps_of, unbound, uses_miles
 from slow_node.understanding.slots import Slots
 
@@ -65,13 +66,12 @@ class ProgramReader:
 
     def __init__(self, parser: IntentParser) -> None:
         self._parser, self._addressed = parser, Addressed(parser)
-        self._now_mps = 0.0
         clauses("brake, then after that truck go left in ten seconds")  # compiles the expressions before anybody speaks
         _sure(Clause("brake"))
+        standing("brake")
 
     def read(self, command: str, speed_mps: float, limit_mps: float) -> Reading:
         """A command's program, with numbers resolved against the ego's speed and the limit, both in m/s."""
-        self._now_mps = speed_mps
         parts = sentences(unbound(command))
         kept = self._addressed.kept(parts, _known)
         text = unbound(command) if len(kept) == len(parts) else " ".join(kept)
@@ -81,13 +81,13 @@ class ProgramReader:
         found = [clause for sentence in sentences(text) for clause in clauses(sentence)]
         found = [clause for clause in found if not _SAYS_NO.match(clause.text)] or found
         if len(found) > MOST_CLAUSES:
-            return self._as_a_whole(command, text, whole)
+            return self._as_a_whole(command, text, whole, speed_mps)
         sure = [_sure(clause) for clause in found]
         special = any(sure) or any(clause.when or clause.until for clause in found)
         if not special and not any(clause.then for clause in found):
-            return self._as_a_whole(command, text, whole)
+            return self._as_a_whole(command, text, whole, speed_mps)
         if whole.slots.outcome == "directive" and _corrected(found, any(sure)):
-            return self._as_a_whole(command, text, whole)
+            return self._as_a_whole(command, text, whole, speed_mps)
         return self._clause_by_clause(command, text, whole, found, sure, speed_mps, limit_mps)
 
     def _talk(self, command: str) -> Reading:
@@ -96,10 +96,10 @@ class ProgramReader:
         slots = Slots(outcome="out_of_scope", language=language)
         return Reading(Program(outcome="out_of_scope"), slots, language, 1.0, 0.0, True)
 
-    def _as_a_whole(self, command: str, text: str, whole: Parsed) -> Reading:
+    def _as_a_whole(self, command: str, text: str, whole: Parsed, speed_mps: float) -> Reading:
         plain = searchable(text)
         slots = corrected(whole.slots, plain)
-        steps = steps_of(slots, plain, self._now_mps)[:MAX_STEPS]
+        steps = steps_of(slots, plain, speed_mps)[:MAX_STEPS]
         program = Program(outcome=slots.outcome, steps=steps, miles=uses_miles(command))
         return Reading(program, slots, slots.language, whole.confidence, whole.refused)
 
@@ -157,9 +157,9 @@ class ProgramReader:
             return Reading(program, Slots(outcome="out_of_scope", language=language), language, 1.0, refused, True)
         timed = any(clause.when or clause.until for clause in found)
         if not steps and timed and whole.slots.outcome == "directive":
-            return self._all_of_it_later(command, text, whole, found)
+            return self._all_of_it_later(command, text, whole, found, speed_mps)
         if not steps or (not known and wishes < 2 and not timed):
-            return self._as_a_whole(command, text, whole)
+            return self._as_a_whole(command, text, whole, speed_mps)
         if follows:
             program = Program(outcome="unclear", steps=tuple(steps[:1]), miles=miles)
             label = whole.slots if whole.slots.cancel else Slots(outcome="unclear", language=language)
@@ -172,9 +172,11 @@ class ProgramReader:
             summary = merged if timed or whole.slots.outcome != "directive" else whole.slots
         return Reading(program, summary, language, confidence, refused, True)
 
-    def _all_of_it_later(self, command: str, text: str, whole: Parsed, found: list[Clause]) -> Reading:
+    def _all_of_it_later(
+        self, command: str, text: str, whole: Parsed, found: list[Clause], speed_mps: float
+    ) -> Reading:
         """What is clear only as a whole, with what it waits for."""
-        reading = self._as_a_whole(command, text, whole)
+        reading = self._as_a_whole(command, text, whole, speed_mps)
         when = next((clause.when for clause in found if clause.when), None)
         until = next((clause.until for clause in found if clause.until), None)
         steps = [
