@@ -161,6 +161,15 @@ class Pursuing(Voice):
         draft = structs.replace(usual_directive(scene), say="")
         return [self._directive(nobody, draft, scene, "as the passenger prefers", now_ns)]
 
+    def _as_wished(self, pursuit: Pursuit, scene: Scene) -> tuple[Pursuit, Directive]:
+        """A pursuit, and its directive, that overtakes no more unasked once the passenger prefers that."""
+        slots = self.manner.wished(pursuit.slots)
+        draft = pursuit.planned_again(scene)
+        if slots != pursuit.slots and not scene.borrowing and not pursuit.returning:
+            fresh = directive_of(slots, scene)
+            draft = fresh if isinstance(fresh, Directive) else draft
+        return replace(pursuit, slots=slots), structs.replace(draft, say="")
+
     def _watch_over(self, pursuit: Pursuit, before: Scene, scene: Scene, now_ns: int) -> list[Effect]:
         """What a new scene means for it: the end, the way back, another directive, or nothing."""
         pursuit = replace(pursuit, min_ttc_s=min(pursuit.min_ttc_s, scene.ttc_s))
