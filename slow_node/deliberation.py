@@ -34,7 +34,7 @@ from slow_node.answers import Answers
 from slow_node.attending import Attending
 from slow_node.dialogue import Said, asked, follows, lacks_its_side, resolved, smaller, which_side
 from slow_node.effects import Abandon, Effect, Interpret, Prefer
-from slow_node.interpreter import Context, Interpretation
+from slow_node.interpretation import Context, Interpretation
 from slow_node.lessons import taken_back
 from slow_node.memory.preferences import Manner
 from slow_node.planning.directive import Refusal, directive_of, usual_directive

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from schemas.wire.messages import Directive, Event, Reply
-from slow_node.interpreter import Context
+from slow_node.interpretation import Context
 from slow_node.memory.bank import Memory
 from slow_node.memory.preferences import Preference
 from slow_node.planning.scene import Scene, describe

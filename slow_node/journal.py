@@ -10,7 +10,7 @@ from schemas.runtime.process import log
 from schemas.wire.codec import Fault
 from schemas.wire.journal import Found, Input, Journal
 from schemas.wire.messages import Command, Event
-from slow_node.interpreter import Interpretation
+from slow_node.interpretation import Interpretation
 from slow_node.understanding.slots import Slots
 
 SCENES = 15

@@ -16,10 +16,12 @@ from schemas.runtime.process import ConfigError, Heartbeat, log
 from schemas.wire import topics
 from schemas.wire.codec import Fault, decode_command
 from schemas.wire.messages import Directive, Event, EventKind, Reply
+from slow_node.asking import Style
 from slow_node.config import BUDGET_S, TOKEN, SlowConfig
 from slow_node.deliberation import Deliberation
 from slow_node.effects import Abandon, Effect, Interpret, Prefer, Remember, keep
-from slow_node.interpreter import ENDPOINT_TRUST, SURE, Interpretation, Interpreter, Style
+from slow_node.interpretation import Interpretation
+from slow_node.interpreter import ENDPOINT_TRUST, SURE, Interpreter
 from slow_node.journal import Diary
 from slow_node.lessons import lesson_for
 from slow_node.llm.adapter import read_adapter

@@ -7,7 +7,7 @@ from schemas.wire.messages import Command, Directive, Event, EventKind, Lane, Ob
 from schemas.wire.program import Outcome, Program, Question, Step
 from slow_node.deliberation import Deliberation
 from slow_node.effects import Effect, Interpret, Remember
-from slow_node.interpreter import Interpretation
+from slow_node.interpretation import Interpretation
 from slow_node.planning.scene import Scene, encode_scene
 from slow_node.understanding.slots import Slots
 from tests import scenes

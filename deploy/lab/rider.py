@@ -21,7 +21,7 @@ from sim_node.metrics import Recorder
 from sim_node.node import SimNode
 from slow_node.deliberation import Deliberation
 from slow_node.effects import Abandon, Effect, Interpret
-from slow_node.interpreter import Interpretation
+from slow_node.interpretation import Interpretation
 from slow_node.planning.directive import directive_of
 from slow_node.planning.scene import Scene, encode_scene
 from slow_node.planning.steps import slots_of

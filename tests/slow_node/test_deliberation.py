@@ -10,7 +10,7 @@ import pytest
 from schemas.runtime.clock import NS
 from schemas.wire.messages import Reply
 from slow_node.effects import Interpret
-from slow_node.interpreter import Interpretation
+from slow_node.interpretation import Interpretation
 from slow_node.planning.replies import sentence
 from slow_node.understanding.slots import Slots
 from tests.ride import CANCEL, HURRY, LEFT, TWO_WAY, Car, Ride, directives, lane, riding

@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 
 from schemas.wire.program import Program, Step
-from slow_node.interpreter import Context, Interpretation, Interpreter, Style, worded
+from slow_node.asking import Style
+from slow_node.interpretation import Context, Interpretation
+from slow_node.interpreter import Interpreter, worded
 from slow_node.llm.embedding import load_embedder
 from slow_node.llm.model import ChatModel
 from slow_node.memory.bank import Memory

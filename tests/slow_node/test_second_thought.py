@@ -8,7 +8,7 @@ from schemas.runtime.clock import NS
 from schemas.wire.messages import Verdict
 from schemas.wire.program import Program, Step, Trigger
 from slow_node.effects import Abandon, Interpret
-from slow_node.interpreter import Interpretation
+from slow_node.interpretation import Interpretation
 from slow_node.planning.steps import summary
 from slow_node.understanding.slots import Slots
 from tests.ride import HURRY, LEFT, Ride, directives, scene

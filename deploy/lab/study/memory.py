@@ -29,7 +29,7 @@ from sim_node.config import SimConfig
 from sim_node.node import SimNode
 from slow_node.deliberation import Deliberation
 from slow_node.effects import Effect, Interpret, Prefer, Remember, keep
-from slow_node.interpreter import Interpretation
+from slow_node.interpretation import Interpretation
 from slow_node.lessons import lesson_for
 from slow_node.llm.embedding import load_embedder
 from slow_node.memory.bank import Memory

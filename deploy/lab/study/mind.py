@@ -35,7 +35,8 @@ from schemas.wire.text import json_line
 from sim_node.results import ride_interval
 from slow_node.effects import Interpret
 from slow_node.evaluation.score import wilson95
-from slow_node.interpreter import Interpretation, Interpreter
+from slow_node.interpretation import Interpretation
+from slow_node.interpreter import Interpreter
 from slow_node.llm.adapter import ADAPTER
 from slow_node.planning.program_text import written
 from slow_node.planning.scene import Scene

@@ -16,7 +16,7 @@ from fast_node.policies.load import load_policy
 from fast_node.policies.policy import NamedPolicy
 from schemas.wire.program import Program, Step
 from slow_node.evaluation.score import exam_texts, plain_text
-from slow_node.interpreter import Interpretation
+from slow_node.interpretation import Interpretation
 from slow_node.llm.errors import ModelError
 from slow_node.understanding.slots import Slots
 from tests.faulty_server import FaultyServer, answer

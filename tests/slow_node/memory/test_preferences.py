@@ -10,7 +10,7 @@ from schemas.driving.measures import INF
 from schemas.wire.messages import Command
 from schemas.wire.program import Step, Trigger
 from slow_node.effects import Interpret, Prefer, Remember
-from slow_node.interpreter import Interpretation
+from slow_node.interpretation import Interpretation
 from slow_node.lessons import alike, lesson_for
 from slow_node.llm.embedding import HashedEmbedder
 from slow_node.memory.bank import Example, Memory, experience
