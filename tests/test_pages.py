@@ -1,7 +1,8 @@
-"""The pages on paper."""
+"""The pages: what they name, and how long they are."""
 
 from __future__ import annotations
 
+import pkgutil
 import re
 
 import pytest
@@ -15,6 +16,27 @@ body { font: 10pt/1.2 serif; margin: 0 } code { font-size: 9pt } h1 { font-size:
 h2 { font-size: 12pt; margin: 5pt 0 2pt } p, ul, ol, table { margin: 3pt 0 } ul, ol { padding-left: 14pt }
 table { border-collapse: collapse } td, th { padding: 1pt 3pt; vertical-align: top }
 </style>"""
+
+
+PACKAGES = ("", "schemas.", "fast_node.", "slow_node.", "sim_node.", "deploy.")
+"""Where the glossary's names may begin."""
+
+
+def is_there(name: str) -> bool:
+    for package in PACKAGES:
+        try:
+            pkgutil.resolve_name(package + name)
+        except (ImportError, AttributeError, ValueError):
+            continue
+        return True
+    return False
+
+
+def test_what_the_glossary_names_is_where_it_says() -> None:
+    rows = [line for line in (ROOT / "docs/glossary.md").read_text().splitlines() if line.startswith("| ")]
+    names = [name for row in rows for name in re.findall(r"`([a-z_]+\.[\w.]+)`", row.rsplit(" | ", 1)[1])]
+    assert len(names) > 50
+    assert [name for name in names if not is_there(name)] == []
 
 
 @pytest.mark.timeout(120)
