@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
-import tempfile
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -17,6 +15,7 @@ from numpy.typing import NDArray
 
 from deploy.bench.machine import rss_mb
 from deploy.bench.progress import MeasurementError
+from deploy.run.launch import temporary_folder
 from deploy.run.processes import TCP_HOST, Model, Process, RunOptions, free_port, links_of, process_table
 from deploy.run.supervisor import Supervisor
 from schemas.runtime.bus import ZenohBus, open_bus
@@ -33,7 +32,8 @@ class Deployment:
 
     def __init__(self, folder: Path, realtime: Mode, *without: str, trace: bool, watched: bool = False) -> None:
         """watched: with the recorder, which writes into `folder`, and the cockpit."""
-        self.sockets = Path(tempfile.mkdtemp(prefix="fastslow-"))
+        self._stack = ExitStack()
+        self.sockets = self._stack.enter_context(temporary_folder())
         self._port, llm = free_port(), free_port()
         self.model = Model(base_url=f"http://127.0.0.1:{llm}/v1", name="SmolLM2-135M-Instruct", embedded=True, port=llm)
         cockpit_port = free_port() if watched else None
@@ -68,8 +68,7 @@ class Deployment:
         return replace(process, argv=tuple(argv))
 
     def __enter__(self) -> Deployment:
-        with ExitStack() as stack:
-            stack.callback(shutil.rmtree, self.sockets, ignore_errors=True)
+        with self._stack as stack:
             self.links.write_logins()
             self.bus = stack.enter_context(open_bus(self.links.supervisor()))
             self._status = self.bus.subscribe(topics.STATUS)

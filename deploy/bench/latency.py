@@ -5,8 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
-import shutil
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -27,7 +25,7 @@ from deploy.bench.machine import host, rss_mb
 from deploy.bench.pingpongs import PATIENCE_S, PingPongs, dora_command
 from deploy.bench.progress import MeasurementError, say
 from deploy.bench.transports import TRANSPORTS, Transport
-from deploy.run.launch import children, python_module
+from deploy.run.launch import children, python_module, temporary_folder
 from schemas.driving.road import HZ
 from schemas.runtime.bus import BusConfig, open_bus
 from schemas.runtime.clock import NS
@@ -213,10 +211,9 @@ def first_actions(folder: Path, seen: bytes) -> dict[str, object]:
     seconds: list[float] = []
     memory: float | None = None
     for _ in range(STARTS):
-        sockets = Path(tempfile.mkdtemp(prefix="fastslow-"))
-        near, fast = (f"unixsock-stream/{sockets / name}.sock" for name in ("near", "fast"))
-        argv = python_module("fast_node", {"bus": {"listen": [fast], "low_latency": True}})
-        try:
+        with temporary_folder() as sockets:
+            near, fast = (f"unixsock-stream/{sockets / name}.sock" for name in ("near", "fast"))
+            argv = python_module("fast_node", {"bus": {"listen": [fast], "low_latency": True}})
             with children() as start, open_bus(BusConfig(listen=(near,), connect=(fast,), low_latency=True)) as bus:
                 actions = bus.subscribe_bytes(topics.ACTION)
                 began = time.monotonic()
@@ -230,8 +227,6 @@ def first_actions(folder: Path, seen: bytes) -> dict[str, object]:
                     time.sleep(0.002)
                 seconds.append(time.monotonic() - began)
                 memory = rss_mb(node.pid)
-        finally:
-            shutil.rmtree(sockets, ignore_errors=True)
     return {"first_action_s": round(float(np.median(seconds)), 3), "starts": STARTS, "rss_mb": memory}
 
 

@@ -10,7 +10,6 @@ import os
 import shutil
 import signal
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -23,7 +22,7 @@ from typing import Any
 from deploy.bench.deployed_system import Deployment
 from deploy.bench.progress import MeasurementError
 from deploy.bench.transports import EndConfig, Transport, socket_of
-from deploy.run.launch import Launched, children, environment, python_module
+from deploy.run.launch import Launched, children, environment, python_module, temporary_folder
 from deploy.run.processes import free_port
 from schemas.runtime.realtime import Mode
 
@@ -97,8 +96,7 @@ class PingPongs:
     def __enter__(self) -> PingPongs:
         with ExitStack() as stack:
             self._stack = stack
-            self._sockets = Path(tempfile.mkdtemp(prefix="fastslow-"))
-            stack.callback(shutil.rmtree, self._sockets, ignore_errors=True)
+            self._sockets = stack.enter_context(temporary_folder())
             self._start = stack.enter_context(children())
             stack.callback(self._dismiss)
             for transport in self._wanted:

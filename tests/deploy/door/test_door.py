@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import shutil
-import socket
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from pathlib import Path
 
 import msgspec
 import psutil
 import pytest
 
-from deploy.run.launch import Launched, children
+from deploy.run.launch import Launched, children, temporary_folder
 from deploy.run.links import TCP_HOST, DoorOptions, Links
 from deploy.run.processes import door_process, free_port
 from schemas.runtime.bus import BusConfig, BusError, ZenohBus, open_bus
@@ -24,6 +20,7 @@ from schemas.wire import topics
 from schemas.wire.messages import Action, Event, EventKind, MetaAction, Status
 from schemas.wire.roles import SHOWN
 from schemas.wire.topics import TOPICS
+from tests.half_open import half_open
 from tests.waiting import until
 
 HIDDEN = tuple(topic for topic in TOPICS if topic not in SHOWN)
@@ -42,8 +39,7 @@ class Between:
 
 
 def start(stack: ExitStack, left_out: frozenset[str] = frozenset()) -> Between:
-    folder = Path(tempfile.mkdtemp(prefix="fastslow-"))
-    stack.callback(shutil.rmtree, folder, ignore_errors=True)
+    folder = stack.enter_context(temporary_folder())
     port = free_port()
     links = Links(folder, DoorOptions(listen=f"tcp/{TCP_HOST}:{port}"), left_out)
     links.write_logins()
@@ -233,13 +229,6 @@ def test_one_who_floods_silences_nobody_else(between: Between) -> None:
 
 
 def test_thousands_of_half_open_connections_keep_the_door_alive_and_it_serves_on(between: Between) -> None:
-    with ExitStack() as stack:
-        for number in range(3000):
-            one = stack.enter_context(closing(socket.socket()))
-            one.setblocking(False)
-            one.connect_ex((TCP_HOST, between.port))
-            if number % 2:
-                with suppress(OSError):
-                    one.send(b"\x05\x00")  # the beginning of a message that never ends
+    with half_open(between.port):
         assert not between.door.trouble()
     honest(between, b"after the storm")

@@ -11,7 +11,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Collection, Iterator
@@ -24,7 +23,7 @@ import msgspec
 import pytest
 
 from deploy.run.certificates import certificates
-from deploy.run.launch import children, environment
+from deploy.run.launch import children, environment, temporary_folder
 from deploy.run.links import DoorOptions, Links, car_name, endpoint
 from deploy.run.processes import door_process, free_port
 from schemas.runtime.bus import BusConfig, ZenohBus, open_bus
@@ -193,8 +192,7 @@ class Car:
 @pytest.fixture(scope="module")
 def car(hosts: Hosts) -> Iterator[Car]:
     with ExitStack() as stack:
-        folder = Path(tempfile.mkdtemp(prefix="fastslow-"))
-        stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        folder = stack.enter_context(temporary_folder())
         certs = made(folder / "certs", hosts.address)
         listen = f"tls/{hosts.address if hosts.apart else '127.0.0.1'}:{7447 if hosts.apart else free_port()}"
         links = Links(folder, DoorOptions(listen=listen, tls=shown(certs, "door"), name=NAME), frozenset({"fast"}))

@@ -6,11 +6,9 @@ import fcntl
 import json
 import os
 import resource
-import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,6 +20,7 @@ import pytest
 from deploy.record.__main__ import NAME
 from deploy.record.reader import open_recording
 from deploy.record.recorder import prune
+from deploy.run.launch import temporary_folder
 from deploy.run.processes import RECORDING
 from schemas.runtime.bus import BusConfig, ZenohBus, open_bus
 from schemas.wire.messages import Command, Event, EventKind, Status
@@ -33,11 +32,10 @@ ROOT = Path(__file__).parents[3]
 
 @pytest.fixture
 def router() -> Iterator[tuple[ZenohBus, str]]:
-    folder = Path(tempfile.mkdtemp(prefix="fastslow-"))  # pytest's own are too long for a Unix socket
-    endpoint = f"unixsock-stream/{folder}/bus.sock"
-    with open_bus(BusConfig(mode="router", listen=(endpoint,))) as bus:
-        yield bus, endpoint
-    shutil.rmtree(folder, ignore_errors=True)
+    with temporary_folder() as folder:  # pytest's own are too long for a Unix socket
+        endpoint = f"unixsock-stream/{folder}/bus.sock"
+        with open_bus(BusConfig(mode="router", listen=(endpoint,))) as bus:
+            yield bus, endpoint
 
 
 @contextmanager

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import os
-import shutil
 import stat
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 
+from deploy.run.launch import temporary_folder
 from deploy.run.links import DoorOptions, Links, carried, roles_of
 from schemas.runtime.bus import BusConfig, BusError, ZenohBus, open_bus
 from schemas.runtime.bus_settings import Tls
@@ -28,11 +26,10 @@ TLS = Tls(ca="ca.pem", cert="door.pem", key="door.key")
 
 @pytest.fixture
 def links() -> Iterator[Links]:
-    folder = Path(tempfile.mkdtemp(prefix="fastslow-"))
-    made = Links(folder)
-    made.write_logins()
-    yield made
-    shutil.rmtree(folder, ignore_errors=True)
+    with temporary_folder() as folder:
+        made = Links(folder)
+        made.write_logins()
+        yield made
 
 
 def peer(links: Links, name: str) -> BusConfig:

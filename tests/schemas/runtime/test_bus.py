@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from deploy.run.launch import temporary_folder
 from deploy.run.processes import free_port
 from schemas.runtime.bus import BusConfig, BusError, Subscription, ZenohBus, open_bus
 from schemas.runtime.clock import NS
@@ -24,9 +23,8 @@ from tests.waiting import PATIENCE_S, until
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
-    path = Path(tempfile.mkdtemp(prefix="fastslow-"))  # pytest's own are too long for a Unix socket
-    yield path
-    shutil.rmtree(path, ignore_errors=True)
+    with temporary_folder() as path:  # pytest's own are too long for a Unix socket
+        yield path
 
 
 def peer(folder: Path, name: str, *others: str, low_latency: bool = False) -> BusConfig:
