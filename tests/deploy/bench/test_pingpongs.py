@@ -78,8 +78,9 @@ def test_a_peer_goes_on_when_another_has_died(tmp_path: Path) -> None:
         assert len(reply[0]) == 10
 
 
-def test_a_peer_that_hangs_is_dropped(tmp_path: Path) -> None:
-    with PingPongs(tmp_path, ("floor",), 512, 128, "off", patience_s=1.0) as peers:
+def test_a_peer_that_hangs_is_dropped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with PingPongs(tmp_path, ("floor",), 512, 128, "off") as peers:
+        monkeypatch.setattr(peers, "_patience_s", 1.0)  # of a peer that is up
         os.kill(peers.parts("floor")["far end"], signal.SIGSTOP)
         peers.order("floor", "rounds", 10)
         assert peers.reply("floor") is None

@@ -9,9 +9,9 @@ import socket
 import subprocess
 import sys
 import textwrap
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -123,16 +123,17 @@ def test_a_process_whose_heart_stops_is_killed_and_restarted(watch: Callable[...
     assert not watched.ready("fast")
 
 
-def test_nobody_is_killed_for_silence_while_the_supervisor_is_deaf(watch: Callable[..., Watched]) -> None:
-    watched = watch(fake("fast", SLEEPER, heartbeat_s=0.2))
+def test_nobody_is_killed_for_silence_while_the_supervisor_is_deaf(
+    watch: Callable[..., Watched], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 0.0
+    monkeypatch.setattr("deploy.run.supervisor.time", SimpleNamespace(monotonic=lambda: now_s))
+    watched = watch(fake("fast", SLEEPER, heartbeat_s=0.25))
     watched.until(lambda: watched.ready("fast"))
-    deaf_until_s = time.monotonic() + 1.0
-    while time.monotonic() < deaf_until_s:
-        watched.supervisor.step(hears=False)
-        time.sleep(0.01)
-    assert watched.supervisor.restarts["fast"] == 0
-    watched.hearts.clear()
-    watched.until(lambda: watched.supervisor.restarts["fast"] == 1)
+    for hears, restarts in [(False, 0)] * 10 + [(True, 0)] * 2 + [(True, 1)]:
+        now_s += 0.125
+        watched.supervisor.step(hears)
+        assert watched.supervisor.restarts["fast"] == restarts
 
 
 def test_the_run_ends_when_what_drives_keeps_failing(watch: Callable[..., Watched]) -> None:
