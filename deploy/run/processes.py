@@ -44,7 +44,7 @@ class Process:
     critical: bool
     """Too many restarts of a critical process end the run; without another one the run goes on, degraded."""
     needs: tuple[str, ...] = ()
-    """Started once these are ready, or after `NEEDS_WAIT_S`, whichever comes first."""
+    """Started once these are ready; a critical one is waited for up to its `start_s`, another one `NEEDS_WAIT_S`."""
     heartbeat_s: float = 2.0
     """Once ready, a longer silence means that it hangs."""
     start_s: float = 30.0

@@ -158,10 +158,12 @@ class Supervisor:
         return None
 
     def _needs_met(self, child: Child, now: float) -> bool:
-        if now - self._started_s > NEEDS_WAIT_S:
-            return True
-        needs = (self._children.get(name) for name in child.process.needs)
-        return all(need is None or need.state == "ready" for need in needs)
+        needs = [self._children[name] for name in child.process.needs if name in self._children]
+        waited_s = now - self._started_s
+        return all(
+            need.state == "ready" or waited_s > (need.process.start_s if need.process.critical else NEEDS_WAIT_S)
+            for need in needs
+        )
 
     def _heard(self, child: Child, now: float) -> None:
         child.beat_s = now

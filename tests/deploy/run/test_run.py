@@ -172,6 +172,20 @@ def test_a_process_waits_for_what_it_needs(watch: Callable[..., Watched]) -> Non
     watched.until(lambda: watched.ready("sim"))
 
 
+def test_who_is_critical_is_waited_for_and_who_only_records_is_not(
+    watch: Callable[..., Watched], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("deploy.run.supervisor.NEEDS_WAIT_S", 0.0)
+    fast, sim = fake("fast", SLEEPER, critical=True), fake("sim", SLEEPER, needs=("fast", "record"))
+    watched = watch(fast, fake("record", SLEEPER), sim)
+    watched.hearts = {"sim"}
+    watched.supervisor.step()
+    assert watched.supervisor.pid("sim") is None
+    watched.hearts.add("fast")
+    watched.until(lambda: watched.ready("sim"))
+    assert not watched.ready("record")
+
+
 def test_the_model_server_is_ready_when_it_answers(watch: Callable[..., Watched]) -> None:
     port = free_port()
     server = f"import http.server as h\nh.HTTPServer(('127.0.0.1', {port}), h.SimpleHTTPRequestHandler).serve_forever()"
