@@ -259,15 +259,17 @@ def build(bus: Bus, config: SlowConfig) -> tuple[SlowNode, Memory]:
 
 
 def build_interpreter(
-    config: SlowConfig, *, scene: bool = True, chat_model: Callable[..., ChatModel] = ChatModel
+    config: SlowConfig, *, scene: bool = True, chat_model: Callable[..., ChatModel] = ChatModel, key: str | None = None
 ) -> tuple[Interpreter, Memory, ChatModel]:
     """What interprets commands, without the bus: the caller closes the memory and the model.
 
-    scene: whether the model is told of it. chat_model: makes the client of the model's server.
+    scene: whether the model is told of it. chat_model: makes the client of the model's server. key: what that is shown;
+    None: what the environment has.
     """
     embedder = load_embedder()
     memory = Memory(embedder, config.memory_path, EXAMPLES if config.shipped_examples else None)
-    key = os.environ.get(TOKEN if config.embedded else config.api_key_env, "")
+    if key is None:
+        key = os.environ.get(TOKEN if config.embedded else config.api_key_env, "")
     if not key and not config.embedded and not is_loopback(config.base_url):
         log(NAME, "key", f"{config.api_key_env} is not set; calling {config.base_url} without a key")
     most = config.max_tokens or (MAX_TOKENS_SHORT if config.embedded else MAX_TOKENS)

@@ -16,9 +16,8 @@ import httpx
 
 from deploy.bench.deployed_system import START_S
 from deploy.bench.progress import MeasurementError
-from deploy.run.launch import GRACE_S, children, environment
+from deploy.run.launch import GRACE_S, children, environment, model_token
 from deploy.run.processes import Model
-from slow_node.config import TOKEN
 
 Load = Literal["none", "cpu", "llm", "watched"]
 LOADS: tuple[Load, ...] = ("none", "cpu", "llm", "watched")
@@ -133,7 +132,7 @@ def _ask(model: Model, stop: threading.Event, asked: _Asked) -> None:
     }
     # A connection each: llama.cpp's server closes one that has streamed, and the next request would find it closed.
     alone = httpx.Limits(max_keepalive_connections=0)
-    shown = {"authorization": f"Bearer {os.environ[TOKEN]}"} if TOKEN in os.environ else {}
+    shown = {"authorization": f"Bearer {model_token()}"} if model.embedded else {}
     with httpx.Client(base_url=model.base_url, headers=shown, timeout=120.0, trust_env=False, limits=alone) as client:
         while not stop.is_set():
             try:

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator
 from typing import Literal
 
-from deploy.run.launch import Launched
+from deploy.run.launch import Launched, model_token
 from deploy.run.model_choice import choose_model
 from deploy.run.model_server import embedded_server
 from deploy.run.processes import ModelOptions
@@ -71,6 +71,7 @@ def running_interpreter(
             ),
             scene=scene,
             chat_model=chat_model,
+            key=model_token() if server is not None else None,
         )
         try:
             yield interpreter

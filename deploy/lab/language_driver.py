@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.lab.episodes import has_choice, load, published, record, task_of
+from deploy.run.launch import model_token
 from deploy.run.model_choice import KEY, choose_model
 from deploy.run.model_server import embedded_server
 from fast_node.policies.rule import rule_logits
@@ -37,7 +38,6 @@ from sim_node.metrics import Settled
 from sim_node.results import EpisodeResult
 from sim_node.scenarios import SCENARIOS, Scenario
 from slow_node.baselines.dilu import Bank, Experience, build_prompt, describe, explain, parse
-from slow_node.config import TOKEN
 from slow_node.llm.dialect import Chat
 from slow_node.llm.embedding import load_embedder
 from slow_node.llm.errors import ModelError, ModelTimeoutError
@@ -107,7 +107,7 @@ def running_model(threads: int = 1) -> Iterator[Ask]:
     try:
         if chosen.embedded and server is None:
             raise ConfigError("the embedded model did not start: see `fastslow doctor`, or set OPENAI_API_KEY")
-        key = os.environ.get(TOKEN if chosen.embedded else KEY, "")
+        key = model_token() if chosen.embedded else os.environ.get(KEY, "")
         model = ChatModel(
             chosen.base_url, chosen.name, key, max_tokens=MAX_TOKENS_EMBEDDED if chosen.embedded else MAX_TOKENS
         )

@@ -22,6 +22,7 @@ import urllib.request
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cache
 from http.client import HTTPException
 from pathlib import Path
 from typing import IO, Protocol
@@ -44,13 +45,18 @@ SECRETS = (KEY, TOKEN, "OTEL_EXPORTER_OTLP_HEADERS", "OTEL_EXPORTER_OTLP_TRACES_
 """Environment variables that a program of ours gets only if it needs them."""
 
 
+@cache
+def model_token() -> str:
+    """What the embedded model's server is to be shown, where this process starts it. Who needs it else is told by
+    `environment`; it is not in our own, which all would have that we start."""
+    return secrets.token_urlsafe(24)
+
+
 def environment(*needed: str) -> dict[str, str]:
     """For our own programs: they run the source that this one runs, wherever it was started.
 
-    needed: which of `SECRETS` they get. The embedded model's token is drawn where there is none yet.
+    needed: which of `SECRETS` they get.
     """
-    if TOKEN in needed:
-        os.environ.setdefault(TOKEN, secrets.token_urlsafe(24))
     hidden = set(SECRETS) - set(needed)
     inherited = {k: v for k, v in os.environ.items() if k not in hidden}
     if inherited.get("ZENOH_RUNTIME") == ONE_POOL:  # set by `open_bus`
@@ -61,6 +67,7 @@ def environment(*needed: str) -> dict[str, str]:
         **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
         "PYGAME_HIDE_SUPPORT_PROMPT": "1",
         **inherited,
+        **({TOKEN: model_token()} if TOKEN in needed else {}),
         "PYTHONPATH": os.pathsep.join(dict.fromkeys(filter(None, paths))),
     }
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 from pathlib import Path
 
 import httpx
 import psutil
 import pytest
 
+from deploy.run.launch import model_token
 from deploy.run.model_choice import choose_model
 from deploy.run.model_server import embedded_server
 from deploy.run.processes import RunOptions, free_port, links_of, process_table
 from schemas.runtime.process import ConfigError
-from slow_node.config import TOKEN
 from slow_node.llm.embedded import EmbeddedConfig, own_weights
 
 
@@ -58,12 +57,12 @@ def test_the_server_answers_nobody_but_who_shows_the_token_and_no_page_of_anothe
                 for route in ("/lora-adapters", "/slots", "/props", "/metrics", "/v1/models", "/tools"):
                     assert client.get(route, headers=shown).status_code == 401
                     assert client.post(route, json=[], headers=shown).status_code in (401, 404)
-            ours = {"authorization": f"Bearer {os.environ[TOKEN]}", "origin": "http://page.example"}
+            ours = {"authorization": f"Bearer {model_token()}", "origin": "http://page.example"}
             answer = client.post("/v1/chat/completions", json=asks, headers=ours)
             assert answer.status_code == 200
             assert answer.headers["access-control-allow-origin"] == ""  # a browser shows it to nobody
             assert [client.get(route, headers=ours).status_code for route in ("/slots", "/metrics")] == [501, 501]
             assert client.post("/props", json={}, headers=ours).status_code == 501
-        assert os.environ[TOKEN] not in " ".join(psutil.Process(server.pid).cmdline())
+        assert model_token() not in " ".join(psutil.Process(server.pid).cmdline())
     finally:
         server.kill()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import urllib.request
 from collections.abc import Iterator
 from typing import Any, cast
@@ -12,9 +11,9 @@ import gguf
 import pytest
 import torch
 
+from deploy.run.launch import model_token
 from deploy.run.model_server import embedded_server
 from deploy.run.processes import free_port
-from slow_node.config import TOKEN
 from slow_node.llm.embedded import weights_path
 from slow_node.planning.prompt import Asked, program_prompt
 from slow_node.training.fine_tune import END, Llama, batches, loss_of, rate_at, rendered, tokenizer_of
@@ -42,7 +41,7 @@ def server() -> Iterator[str]:
 
 
 def post(url: str, body: dict[str, Any]) -> Any:
-    headers = {"content-type": "application/json", "authorization": f"Bearer {os.environ[TOKEN]}"}
+    headers = {"content-type": "application/json", "authorization": f"Bearer {model_token()}"}
     request = urllib.request.Request(url, json.dumps(body).encode(), headers)
     with urllib.request.urlopen(request, timeout=30) as answer:
         return json.load(answer)
