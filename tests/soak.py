@@ -19,12 +19,10 @@ import argparse
 import os
 import platform
 import random
-import shutil
 import signal
 import sqlite3
 import subprocess
 import sys
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -36,6 +34,7 @@ from typing import Any
 
 import psutil
 
+from deploy.run.launch import temporary_folder
 from deploy.run.processes import TCP_HOST, free_port
 from schemas.runtime.bus import ZenohBus
 from schemas.wire import topics
@@ -148,28 +147,28 @@ def driving(seconds: float, shared: bool, policy: dict[str, float] | None = None
 
     shared: others load this machine.
     """
-    folder, port = Path(tempfile.mkdtemp(prefix="soak-")), free_port()
-    (folder / "tmp").mkdir()
-    known = {"PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(folder / "data"), "TMPDIR": str(folder / "tmp")}
+    port = free_port()
     options = {"port": port, "as_json": True, "seed": 3, "scenario": "highway", **options}
     code = DRIVE.format(options=options, policy=policy or {})
-    process = subprocess.Popen(
-        [sys.executable, "-c", code],
-        cwd=folder,
-        env=os.environ | known,
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=(folder / "said").open("wb"),
-    )
-    try:
-        with client(port, process) as bus:
-            drive = Drive(process, folder, bus, Meter(process.pid, folder, seconds), shared=shared)
-            drive.until(lambda: {"sim", "fast"} <= set(drive.pids))
-            yield drive
-    finally:
-        process.kill()
-        process.communicate(timeout=60)
-        shutil.rmtree(folder, ignore_errors=True)
+    with temporary_folder("soak-") as folder:
+        (folder / "tmp").mkdir()
+        known = {"PYTHONPATH": str(ROOT), "FASTSLOW_DATA": str(folder / "data"), "TMPDIR": str(folder / "tmp")}
+        process = subprocess.Popen(
+            [sys.executable, "-c", code],
+            cwd=folder,
+            env=os.environ | known,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=(folder / "said").open("wb"),
+        )
+        try:
+            with client(port, process) as bus:
+                drive = Drive(process, folder, bus, Meter(process.pid, folder, seconds), shared=shared)
+                drive.until(lambda: {"sim", "fast"} <= set(drive.pids))
+                yield drive
+        finally:
+            process.kill()
+            process.communicate(timeout=60)
 
 
 def result(part: str, drive: Drive, did: dict[str, Any], summary: dict[str, Any] | None) -> dict[str, Any]:
