@@ -67,8 +67,11 @@ def thought(page: Any) -> None:
     to(page, "highway", "3")
     say(page, STRANGE)
     page.click("#tab-thoughts")
-    prompt = page.locator("#thoughts h3", has_text="Prompt").first
-    prompt.wait_for(timeout=PATIENCE_MS)
+    own = page.locator("#thoughts .thought", has_text=STRANGE).first
+    own.wait_for(timeout=PATIENCE_MS)
+    if own.get_attribute("open") is None:  # another command's was open
+        own.locator("summary").click()
+    own.locator("h3", has_text="Prompt").first.wait_for(timeout=PATIENCE_MS)
 
 
 def program(page: Any) -> None:
