@@ -83,7 +83,7 @@ def list_(
             f"TTC {_seconds(row['min_ttc_s'])}  {plain(row['command'])}  {row['slots']}"
             + (f"  next time: {row['lesson']}" if "lesson" in row else "")
         )
-    typer.echo(f"{len(rows)} examples", err=True)
+    typer.echo(_counted(len(rows)), err=True)
 
 
 @app.command()
@@ -173,7 +173,11 @@ def import_(
                 raise _wrong(f"line {number}: {_reason(error)}") from None
     with _bank(bank) as memory:
         stored = memory.add(examples)
-    typer.echo(f"{stored} examples imported from {len(examples)} lines", err=True)
+    typer.echo(f"{_counted(stored)} imported from {len(examples)} lines", err=True)
+
+
+def _counted(count: int) -> str:
+    return f"{count} example{'' if count == 1 else 's'}"
 
 
 def _reason(error: ValueError) -> str:

@@ -146,7 +146,7 @@ def _words(reply: Reply) -> Iterator[str]:
 
 
 def _short(value: float) -> str:
-    return f"{value:.0f}" if value.is_integer() else f"{value:.3g}"
+    return f"{value:.0f}" if value.is_integer() or abs(value) >= 100.0 else f"{value:.3g}"
 
 
 def status(*, car: Reach, as_json: bool, watch: bool = False) -> int:

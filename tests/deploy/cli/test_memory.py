@@ -83,7 +83,7 @@ def test_only_examples_that_were_stored_are_counted_as_imported(bank: Path) -> N
 
 def test_examples_beyond_the_bound_are_not_counted(bank: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slow_node.memory.bank.MAX_LEARNT", 1)
-    assert imported(bank, line(), line(command="brisk trot"))[1] == "1 examples imported from 2 lines\n"
+    assert imported(bank, line(), line(command="brisk trot"))[1] == "1 example imported from 2 lines\n"
 
 
 @pytest.mark.parametrize(
