@@ -178,7 +178,7 @@ def lessons(scenarios: Sequence[str] = LESSONS, seeds: Sequence[int] = LESSON_SE
         for scene, seed in enumerate(seeds):
             world.load(scene, seed)
         taken: dict[MetaAction, list[Observation]] = {action: [] for action in FIVE}
-        driver = Driver(world.fleet, rule_logits)
+        driver = Driver(world.fleet, rule_logits, stateless=True)
         for tick in range(round(world.scenario.duration_s * HZ)):
             before, scenes = world.state(), np.flatnonzero(~world.fleet.over())
             driver.tick()

@@ -25,6 +25,7 @@ from deploy.lab.training import BASELINE_SCENES, SCENES, mixed_scenes, scenes_of
 from fast_node.mask import VERSION as MASK_VERSION
 from fast_node.policies.load import load_policy
 from fast_node.policies.mlp import BASELINES, LEARNERS, PARTS, VARIANTS, masked, told
+from fast_node.policies.policy import NamedPolicy
 from fast_node.training.rollout import Driver, Fleet
 from schemas.driving.features import LAYOUT_HASH
 from sim_node.engine.batched import Batched
@@ -146,7 +147,7 @@ def run_cell(cell: Cell, folder: Path) -> dict[str, Any]:
     result = {
         **_identity(cell),
         "curve": curve,
-        **measured(cell, policy.logits),
+        **measured(cell, policy),
         "cpu_s": round(time.process_time() - began, 1),
     }
     path = _result_path(cell, folder)
@@ -215,7 +216,7 @@ def curve_return(cell: Cell, logits: Logits) -> float:
     return float(returns.mean())
 
 
-def measured(cell: Cell, logits: Logits) -> dict[str, Any]:
+def measured(cell: Cell, policy: NamedPolicy) -> dict[str, Any]:
     """One episode at 15 Hz per evaluation seed, the passenger in a hurry: the table's figures.
 
     Behind the mask everybody drives as the fast node does. Without it they decide once a second, as they have learnt
@@ -226,6 +227,6 @@ def measured(cell: Cell, logits: Logits) -> dict[str, Any]:
     fleet = Fleet(world, task_of(scenario), masked=cell.masked, obeyed=cell.obeyed)
     for i in range(n):
         load(fleet, scenario, i, FIRST_SEED + i, "hurry")
-    step = by_the_tick(Driver(fleet, logits))
+    step = by_the_tick(Driver(fleet, policy.logits, stateless=policy.stateless))
     summary = summarise(record(fleet, scenario, step))
     return {k: summary[k] for k in FIGURES}
