@@ -16,7 +16,7 @@ from fast_node.policies.plans import NEVER_S, PRESENT, Array, Plans, plans, to_e
 from fast_node.policies.policy import Policy
 from fast_node.policies.rule import rule_logits
 from schemas.driving import features as f
-from schemas.wire.messages import MetaAction
+from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 
 LOST_S_PER_M, TURN_S_PER_MPS = 0.2, 0.3
 """In seconds until the change: what a metre counts that a plan falls behind the wished speed, and a change of speed."""
@@ -57,16 +57,15 @@ class GapPolicy:
         """See `Policy.logits`."""
         flat = x.reshape(-1, *x.shape[-2:])
         side = to_enter(flat)
-        here = np.flatnonzero(side)
-        if not len(here):
+        planned, rest = np.flatnonzero(side), np.flatnonzero(side == 0)
+        if not len(planned):
             return self._base.logits(x)
-        seen = flat[here]
+        out = np.empty((len(flat), POLICY_ACTIONS), np.float32)
+        if len(rest):
+            out[rest] = self._base.logits(flat[rest])
+        seen = flat[planned]
         own = seen[:, 0]
         v = 10.0 * own[:, f.SPEED]
-        goal = best_of(plans(seen, side[here]))
-        planned = towards(rule_logits(seen), goal, v + 5.0 * own[:, f.SET_POINT], v + 5.0 * own[:, f.V_DES])
-        if len(here) == len(flat):
-            return planned.reshape(*x.shape[:-2], -1)
-        out = np.array(self._base.logits(x), np.float32).reshape(len(flat), -1)
-        out[here] = planned
+        goal = best_of(plans(seen, side[planned]))
+        out[planned] = towards(rule_logits(seen), goal, v + 5.0 * own[:, f.SET_POINT], v + 5.0 * own[:, f.V_DES])
         return out.reshape(*x.shape[:-2], -1)

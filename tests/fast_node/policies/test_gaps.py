@@ -68,6 +68,22 @@ def test_many_scenes_are_planned_as_each_alone() -> None:
         np.testing.assert_allclose(policy.logits(x), together[k])
 
 
+def test_the_base_is_asked_about_no_scene_that_a_plan_decides() -> None:
+    asked: list[Array] = []
+
+    class Base:
+        def logits(self, x: Array) -> Array:
+            asked.append(x)
+            return rule_logits(x)
+
+    calm, choice = scene(*queue(60.0), aim=0), scene(*queue(75.0))
+    together = GapPolicy(Base()).logits(np.concatenate([choice, calm, choice]))
+    np.testing.assert_array_equal(np.concatenate(asked), calm)
+    np.testing.assert_array_equal(together[1], rule_logits(calm)[0])
+    np.testing.assert_array_equal(together[0], GapPolicy(Base()).logits(choice[0]))
+    assert len(asked) == 1
+
+
 def test_elsewhere_the_base_decides() -> None:
     x = scene(*queue(60.0), aim=0)
     np.testing.assert_array_equal(GapPolicy(RulePolicy()).logits(x), rule_logits(x))
