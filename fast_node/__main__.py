@@ -19,12 +19,12 @@ from fast_node.policies.load import load_policy
 from fast_node.policies.outsider import DeadlinePolicy, WatchedPolicy
 from fast_node.policies.policy import NamedPolicy, Policy
 from fast_node.policies.rule import RulePolicy
-from schemas.driving.road import ID, LENGTH, WIDTH, X
+from schemas.driving.road import ID, LANE, LENGTH, WIDTH, X, Y
 from schemas.runtime.bus import open_bus
 from schemas.runtime.process import Heartbeat, Trace, load_config, log, run_node
 from schemas.runtime.realtime import claim, may_poll
 from schemas.wire import topics
-from schemas.wire.messages import ROW_COLUMNS, Lane, Observation
+from schemas.wire.messages import ROW_COLUMNS, Directive, Lane, Observation
 
 POLL_NS = 1_000_000
 """An observation is polled for this long after its announcement; the next announcement or it comes within 0.7 ms."""
@@ -35,14 +35,17 @@ PARTS = ("close_actions", "features", "logits")
 
 
 def warm_up(node: FastNode) -> None:
-    """Pay for the first inferences before going live."""
+    """Pay for the first inferences before going live: without words, and with a way into a lane to be planned."""
     rows = np.zeros((8, len(ROW_COLUMNS)), np.float32)
     rows[:, ID], rows[:, X], rows[:, [LENGTH, WIDTH]] = np.arange(8), np.arange(8) * 30.0, (5.0, 2.0)
+    rows[2::2, LANE], rows[2::2, Y] = 1, 4.0
     lanes = (Lane(y_m=0.0, start_m=0.0, end_m=1e4), Lane(y_m=4.0, start_m=0.0, end_m=1e4))
+    over = Directive(epoch=-2, stamp_ns=0, id=1, command_id=1, scene_tick=0, target_lane=1)
     for tick in range(20):
-        node.step(
-            Observation(epoch=-2, stamp_ns=0, tick=tick, scenario="warm-up", lanes=lanes, rows=rows.tobytes()), None, 0
+        seen = Observation(
+            epoch=-2, stamp_ns=0, tick=tick, scenario="warm-up", lanes=lanes, rows=rows.tobytes(), goal_x_m=1e3
         )
+        node.step(seen, None if tick < 10 else over, 0)
     gc.collect()
     gc.freeze()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 import subprocess
 import sys
@@ -13,13 +14,15 @@ import numpy as np
 import pytest
 
 from deploy.lab.lockstep import Episode, overtake_at, run_episode
-from fast_node.__main__ import nodes_of
+from fast_node.__main__ import nodes_of, warm_up
 from fast_node.config import FastConfig
 from fast_node.node import FastNode
 from fast_node.policies.load import BUILT_IN, load_policy
 from fast_node.policies.mlp import shipped
 from fast_node.policies.outsider import DeadlinePolicy
+from fast_node.policies.plans import to_enter
 from fast_node.policies.policy import NamedPolicy
+from fast_node.policies.rule import rule_logits
 from schemas.driving.features import FEATURES, N_ROWS, Array
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import MetaAction
@@ -159,6 +162,21 @@ def test_nobody_rehearses_with_a_policy_that_may_remember(outsider: Outsider) ->
     sim.reset(1)
     rehearser.step(sim.observation(0), None, 0)
     assert policy.logits(seen()).tolist() == again.logits(seen()).tolist()
+
+
+def test_before_it_goes_live_the_node_has_driven_without_words_and_has_planned_a_way_into_a_lane() -> None:
+    planned: list[bool] = []
+
+    class Watched:
+        def logits(self, x: Array) -> Array:
+            planned.append(bool(to_enter(x[None])[0]))
+            return rule_logits(x)
+
+    _, rehearser = nodes_of(FastConfig(), NamedPolicy("watched", Watched()))
+    warm_up(rehearser)
+    gc.unfreeze()  # the tests' own objects
+    assert planned == [False, False, True, True]
+    assert rehearser.counts["fallback"] == 0
 
 
 def answering(expression: str) -> str:
