@@ -22,11 +22,12 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
+from schemas.driving.road import HZ
+
 SCHEMA = "fastslow.bench.gym/1"
 ROAD, STOCK = "fastslow/StockHighway-v0", "highway-v0"
 CARS = 4
 DURATION_S = 40
-TICK_HZ = 15
 
 
 class Many(Protocol):
@@ -138,8 +139,8 @@ def bench_gym(
     chosen = tuple(names or VARIANTS)
     if unknown := sorted(set(chosen) - set(VARIANTS)):
         raise ValueError(f"{', '.join(unknown)}: choose from {', '.join(VARIANTS)}")
-    if decision_hz < 1 or TICK_HZ % decision_hz:
-        raise ValueError(f"decision_hz {decision_hz} does not divide {TICK_HZ}")
+    if decision_hz < 1 or HZ % decision_hz:
+        raise ValueError(f"decision_hz {decision_hz} does not divide {HZ}")
     makers = _makers(envs, decision_hz)
     accounts: dict[str, _Account] = {}
     try:
