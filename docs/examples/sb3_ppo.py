@@ -26,10 +26,10 @@ SAVED = Path("runs/sb3-ppo.zip")
 def learn(scenario: str, steps: int, envs: int, seed: int, masked: bool, saved: Path) -> Any:
     """The model after so many decisions on so many roads at once."""
     roads = fastslow.sb3_vec_env(scenario, envs)
-    kind, rest = (MaskablePPO, {}) if masked else (PPO, {})
+    kind: Any = MaskablePPO if masked else PPO
     model = kind(
         "MlpPolicy", roads, n_steps=32, batch_size=256, learning_rate=5e-4, gamma=0.9966, ent_coef=0.01, seed=seed,
-        device="cpu", verbose=0, **rest,
+        device="cpu", verbose=0,
     )  # fmt: skip
     model.learn(steps)
     model.save(saved)
