@@ -175,7 +175,8 @@ def _courses(
 
 def _fits(way: Array, speed: Array, there: Bools, at: Array, mps: Array, half: Array, gap_s: Array) -> Bools:
     """(B, P, K) whether there is room between the cars of the lane, as `mask.entering` and `choice.worth_entering`
-    ask for it with preset "sim"."""
+    ask for it with preset "sim", at 5 m/s and more. A car that passes the ego at more than twice
+    its speed counts as gone once it is ahead; the mask waits until it is 1.5 m ahead."""
     safe = speed * (2.0 / 15.0) + (speed + 2.0 / 15.0) ** 2 / 14.0 + 1.51
     worth = (gap_s[:, None, None] + 1.0) * speed
     brakes = 0.1 * speed * speed

@@ -6,13 +6,20 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from fast_node.choice import narrow
+from fast_node.mask import OPEN, close_actions
+from fast_node.mask.entering import CREEP_MPS
 from fast_node.policies.gaps import GapPolicy, best_of
 from fast_node.policies.load import load_policy
 from fast_node.policies.plans import NEVER_S, PLANS, SPEEDS, plans, to_enter
 from fast_node.policies.rule import RulePolicy, rule_logits
 from schemas.driving.features import Array, features
+from schemas.driving.road import NOBODY
 from schemas.wire.messages import MetaAction
+from tests.mask_scenes import HIGHWAY, SIGHT_M, SIM
 from tests.scenes import car
 
 WISHED, V = 30.0, 25.0
@@ -82,6 +89,58 @@ def test_the_base_is_asked_about_no_scene_that_a_plan_decides() -> None:
     np.testing.assert_array_equal(together[1], rule_logits(calm)[0])
     np.testing.assert_array_equal(together[0], GapPolicy(Base()).logits(choice[0]))
     assert len(asked) == 1
+
+
+AT_M, SLACK_M = 500.0, 0.05
+"""Where the ego is, and what single precision and rounded constants may differ by."""
+Beside = tuple[float, float, float]
+"""A car of the lane to be entered: the room between bumpers [m], negative behind the ego, its speed, its length."""
+AHEAD = st.tuples(st.floats(1.6, 60.0), st.floats(0.0, 35.0), st.floats(4.0, 16.0))
+BEHIND = st.tuples(st.floats(-60.0, 0.0, exclude_max=True), st.floats(0.0, 35.0), st.floats(4.0, 16.0))
+
+
+def beside(mps: float, others: list[Beside], more_m: float = 0.0) -> list[list[float]]:
+    """The ego in lane 0 and the others in lane 1, each `more_m` farther away from it."""
+    rows = [car(0, AT_M, 0, mps)]
+    for k, (gap, speed, length) in enumerate(others, 1):
+        apart = abs(gap) + more_m + 0.5 * (length + 5.0)
+        rows.append(car(k, AT_M + math.copysign(apart, gap), 1, speed, length_m=length))
+    return rows
+
+
+def plan_enters(mps: float, others: list[Beside], headway_s: float) -> bool:
+    """Whether every plan has the change open at once."""
+    x = features(beside(mps, others), 4.0, WISHED, headway_s, mps, False, 1e4, lane=0, aim=1, goal_left=1500.0)[None]
+    now = plans(x, to_enter(x)).open_s[0, :SPEEDS] == 0.0
+    assert len(set(now.tolist())) == 1
+    return bool(now[0])
+
+
+def mask_and_intent_enter(mps: float, others: list[Beside], headway_s: float, more_m: float) -> bool:
+    """Whether mask and intent leave the change open now, were the others `more_m` farther away."""
+    rows, near, reasons, vehicle = beside(mps, others, more_m), [0] * (3 * len(HIGHWAY)), [OPEN] * 6, [NOBODY] * 6
+    cap = close_actions(rows, HIGHWAY, mps, 0, NOBODY, SIGHT_M, near, reasons, vehicle, SIM)
+    narrow(reasons, rows, near, HIGHWAY, mps, 0, NOBODY, NOBODY, 1, WISHED, headway_s, cap)
+    return reasons[MetaAction.RIGHT] == OPEN
+
+
+@given(
+    mps=st.floats(CREEP_MPS, 32.0),
+    ahead=st.none() | AHEAD,
+    behind=st.none() | BEHIND,
+    farther=st.lists(AHEAD | BEHIND, max_size=4),
+    headway_s=st.floats(0.3, 2.5),
+)
+def test_a_plan_calls_a_gap_open_where_mask_and_intent_do(
+    mps: float, ahead: Beside | None, behind: Beside | None, farther: list[Beside], headway_s: float
+) -> None:
+    near = [other for other in (ahead, behind) if other is not None]
+    if plan_enters(mps, near, headway_s):
+        assert mask_and_intent_enter(mps, near, headway_s, SLACK_M)
+    else:
+        assert not mask_and_intent_enter(mps, near, headway_s, -SLACK_M)
+    if plan_enters(mps, [*near, *farther], headway_s):  # it looks at every car of the lane, the mask at the nearest
+        assert mask_and_intent_enter(mps, [*near, *farther], headway_s, SLACK_M)
 
 
 def test_elsewhere_the_base_decides() -> None:
