@@ -31,6 +31,7 @@ LEAD_IN_M = 500.0
 """The lanes begin so much before the scenario's: some cars start there."""
 APART_M = 1000.0
 Edge = tuple[str, str]
+Edges = dict[Edge, list[tuple[int, Piece]]]
 
 
 def _pieces(plan: LanePlan) -> list[Piece]:
@@ -42,9 +43,9 @@ def _edge(plan: LanePlan, piece: Piece) -> Edge:
     return piece.edge if plan.direction > 0 else (piece.edge[1], piece.edge[0])
 
 
-def edges(scenario: Scenario) -> dict[Edge, list[tuple[int, Piece]]]:
+def edges(scenario: Scenario) -> Edges:
     """The lanes of each of SUMO's edges, from right to left as SUMO numbers them: (scenario's lane, its piece)."""
-    table: dict[Edge, list[tuple[int, Piece]]] = {}
+    table: Edges = {}
     for lane, plan in enumerate(scenario.lanes):
         for piece in _pieces(plan):
             table.setdefault(_edge(plan, piece), []).insert(0, (lane, piece))
@@ -117,12 +118,12 @@ def _scene(scenario: Scenario, scene: int) -> Iterator[str]:
             )
 
 
-def route(scenario: Scenario, lane: int, x: float) -> tuple[list[Edge], int, float]:
+def route(scenario: Scenario, table: Edges, lane: int, x: float) -> tuple[list[Edge], int, float]:
     """From x in a lane to the road's end: the edges, SUMO's number of the lane on the first, and the place there [m].
 
-    A lane that ends is left for its neighbour.
+    A lane that ends is left for its neighbour. table: the scenario's `edges`.
     """
-    table, plan = edges(scenario), scenario.lanes[lane]
+    plan = scenario.lanes[lane]
     pieces = _pieces(plan)[:: plan.direction]
     here = next(k for k, p in enumerate(pieces) if p.start_m <= x <= p.end_m)
     way = [_edge(plan, p) for p in pieces[here:]]
@@ -143,11 +144,11 @@ def vehicles(scenario: Scenario, spawns: Sequence[Spawn], models: Sequence[Seque
     models: SUMO's car-following model of each. Who starts inside another's gap starts nevertheless, as it does
     elsewhere.
     """
-    out = []
+    out, table = [], edges(scenario)
     for scene, spawn in enumerate(spawns):
         for i in range(len(spawn.x)):
             lane, length = int(spawn.lane[i]), float(spawn.manners[i][CAR_LENGTH]) if i else CAR_LENGTH_M
-            way, number, place = route(scenario, lane, float(spawn.x[i]))
+            way, number, place = route(scenario, table, lane, float(spawn.x[i]))
             model = models[scene][i]
             stays = "" if spawn.lane_changes[i] or i == 0 else ' lcStrategic="-1" lcSpeedGain="0" lcKeepRight="0"'
             out.append(
