@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -140,27 +141,25 @@ def drive(
         world: Batched = SumoWorld(scenario, len(seeds), seeds[0], ego_model=model, actuator=checked)
     else:
         world = Batched(scenario, len(seeds), 0, ego=kind, actuator=checked)
-    sense = senses(seeds, noise_m, noise_mps, dropout)
-    fleet = Fleet(world, task_of(scenario, preset), masked=who.masked, sense=sense)
-    for i, seed in enumerate(seeds):
-        world.load(i, scenario.spawn(streams(seed)[0]))
-    if isinstance(world, SumoWorld):
-        world.begin()
-    words = Words(fleet, scenario, seeds, directive, directive_at_s, wish_mps)
-    driver = None
-    if who.policy == "reckless":
-        step = reckless(fleet)
-    elif who.policy in WORDLESS:
-        step = always(fleet, MetaAction.EMERGENCY_BRAKE if who.policy == "brake" else MetaAction.CRUISE)
-    else:
-        driver = Driver(fleet, policy.logits, stateless=policy.stateless)
-        step = by_the_tick(driver)
-    if watch is not None:
-        step = watch(fleet, driver, step)
-    results = record(fleet, scenario, step, words)
-    if isinstance(world, SumoWorld):
-        world.close()
-    return results
+    with closing(world) if isinstance(world, SumoWorld) else nullcontext():
+        sense = senses(seeds, noise_m, noise_mps, dropout)
+        fleet = Fleet(world, task_of(scenario, preset), masked=who.masked, sense=sense)
+        for i, seed in enumerate(seeds):
+            world.load(i, scenario.spawn(streams(seed)[0]))
+        if isinstance(world, SumoWorld):
+            world.begin()
+        words = Words(fleet, scenario, seeds, directive, directive_at_s, wish_mps)
+        driver = None
+        if who.policy == "reckless":
+            step = reckless(fleet)
+        elif who.policy in WORDLESS:
+            step = always(fleet, MetaAction.EMERGENCY_BRAKE if who.policy == "brake" else MetaAction.CRUISE)
+        else:
+            driver = Driver(fleet, policy.logits, stateless=policy.stateless)
+            step = by_the_tick(driver)
+        if watch is not None:
+            step = watch(fleet, driver, step)
+        return record(fleet, scenario, step, words)
 
 
 def behind_the_mask(spec: str) -> Agent:

@@ -7,10 +7,12 @@ from typer.testing import CliRunner
 
 from deploy.cli.app import app
 from deploy.lab.agents import drive
+from deploy.lab.episodes import Step
 from deploy.lab.evaluate import evaluate_all
+from fast_node.training.rollout import Driver, Fleet
 from sim_node.scenarios import SCENARIOS
 
-pytest.importorskip("libsumo")
+libsumo = pytest.importorskip("libsumo")
 MERGE = SCENARIOS["merge-natural"]
 
 
@@ -26,6 +28,16 @@ def test_an_episode_is_that_of_its_seed_however_many_are_driven():
     second = drive("ours", MERGE, range(1000, 1002), sim="sumo")[1]
     (alone,) = drive("ours", MERGE, [1001], sim="sumo")
     assert (second.ticks, second.progress_m) == (alone.ticks, alone.progress_m)
+
+
+def test_a_drive_that_fails_leaves_no_world_of_sumo_behind():
+    def fails(fleet: Fleet, driver: Driver | None, step: Step) -> Step:
+        assert libsumo.simulation.isLoaded()
+        raise RuntimeError("who looks on has failed")
+
+    with pytest.raises(RuntimeError, match="who looks on"):
+        drive("ours", MERGE, [1000], sim="sumo", watch=fails)
+    assert not libsumo.simulation.isLoaded()
 
 
 def test_who_drives_and_where_is_told_where_it_does_not_exist():
