@@ -62,7 +62,7 @@ class Wishes:
         """A new episode, whose directives come from `rng`. rows (V, 9); lane: the ego's."""
         self._rng = rng
         if not self._fixed:
-            self._told = draw_wish(rng, self._scenario, rows, lane)
+            self._told = draw_wish(self._scenario, rng, rows, lane)
         self.update(rows)
 
     def direct(self, rows: Any, home: int, lane: int, speed_mps: float, headway_s: float, overtake: bool) -> None:
@@ -77,7 +77,7 @@ class Wishes:
     def follow(self, rows: Any, lane: int, seconds: float) -> None:
         """After a decision of `seconds` that was not the last: perhaps another directive."""
         if not self._fixed and self._rng.random() < REDIRECT_PER_S * seconds:
-            self._told = draw_wish(self._rng, self._scenario, rows, lane)
+            self._told = draw_wish(self._scenario, self._rng, rows, lane)
             self.update(rows)
 
     def update(self, rows: Any) -> None:

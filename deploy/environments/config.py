@@ -6,11 +6,9 @@ import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, Literal
 
 import msgspec
-from numpy.random import Generator
 
 from deploy.lab.episodes import task_of
 from fast_node.mask import PRESETS
@@ -20,7 +18,6 @@ from schemas.driving.road import DECISION_TICKS, HZ
 from sim_node.scenario_file import find_scenario
 from sim_node.scenarios import Scenario
 from sim_node.scenarios.lanes import with_lanes
-from sim_node.scenarios.scenario import draw_wish
 
 DECISION_HZ = HZ // DECISION_TICKS
 AS_HIGHWAY_ENV = {
@@ -189,11 +186,7 @@ class EnvConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     def task(self, scenario: Scenario) -> Task:
         """What is to be done there, and what it earns."""
         task = task_of(scenario, self.mask or "sim")
-        return replace(task, weights=Weights(**self.reward), draw=partial(_drawn, scenario))
-
-
-def _drawn(scenario: Scenario, rng: Generator, rows: Any, home: int) -> tuple[int, int, float, float]:
-    return draw_wish(rng, scenario, rows, home)
+        return replace(task, weights=Weights(**self.reward))
 
 
 def check_lane(scenario: Scenario, directive: Directive) -> None:

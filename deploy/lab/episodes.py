@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -62,7 +63,7 @@ def task_of(scenario: Scenario, preset: str = "sim") -> Task:
         speed_range=0.5 * ceiling,
         duration_ticks=round(scenario.duration_s * HZ),
         goal=scenario.goal,
-        draw=lambda rng, rows, home: draw_wish(rng, scenario, rows, home),
+        draw=partial(draw_wish, scenario),
         preset=preset,
     )
 
@@ -71,7 +72,7 @@ def directed(
     directive: Directive, scenario: Scenario, rng: np.random.Generator, rows: Any, home: int
 ) -> tuple[int, int, float, float]:
     """A directive for rows (V, 9) and a home lane, drawn as `draw_wish` draws and of the same form."""
-    lane, pass_id, speed_mps, headway_s = draw_wish(rng, scenario, rows, home, overtake_share=1.0)
+    lane, pass_id, speed_mps, headway_s = draw_wish(scenario, rng, rows, home, overtake_share=1.0)
     if directive == "random":
         return lane, pass_id, speed_mps, headway_s
     if directive == "hurry" and len(scenario.wish_lanes) > 1:

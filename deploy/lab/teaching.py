@@ -40,7 +40,7 @@ HURRY = 0.6
 def _wish(scenario: Scenario, rng: np.random.Generator, rows: Any, home: int) -> tuple[int, int, float, float]:
     if rng.random() < HURRY:
         return directed("hurry", scenario, rng, rows, home)
-    return draw_wish(rng, scenario, rows, home)
+    return draw_wish(scenario, rng, rows, home)
 
 
 def lesson(name: str, round_: int, seed: int, decisions: int, pupil: Path | None) -> Lessons:

@@ -343,7 +343,7 @@ def streams(seed: int) -> tuple[Generator, Generator, Generator]:
 
 
 def draw_wish(
-    rng: Generator, scenario: Scenario, rows: Any, home: int, overtake_share: float = 0.65
+    scenario: Scenario, rng: Generator, rows: Any, home: int, overtake_share: float = 0.65
 ) -> tuple[int, int, float, float]:
     """A random directive, as in training: (lane or `ANY_LANE`, id of the car to overtake or -1, speed, headway).
 
