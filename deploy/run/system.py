@@ -41,6 +41,7 @@ from schemas.runtime.clock import NS
 from schemas.runtime.process import CONFIG, FAILED, OK, TRY_AGAIN, ConfigError
 from schemas.runtime.realtime import trial
 from schemas.wire import topics
+from schemas.wire.codec import Fault, decode_command
 from schemas.wire.messages import Command, Status
 from schemas.wire.text import printable
 
@@ -50,6 +51,8 @@ OVERTIME_S = 5.0
 START_WAIT_S = 20.0
 """A run counts as begun after this long even if the slow node is not ready; without sim and fast there is none. Where
 nothing is compiled yet, sim takes longer than this."""
+PLAIN = -1
+"""The id of a command that came as plain text."""
 
 
 def run_system(
@@ -182,7 +185,7 @@ class _Run:
         self._actions = bus.subscribe(topics.ACTION)
         self._observations = bus.subscribe(topics.OBSERVATION)
         self._directives = bus.subscribe(topics.DIRECTIVE)
-        self._commands = bus.subscribe(topics.COMMAND)
+        self._commands = bus.subscribe_bytes(topics.COMMAND)
 
     def to_its_end(self) -> int:
         supervisor = self._supervisor
@@ -262,8 +265,8 @@ class _Run:
             self._live.action(action)
         for directive in self._directives.take():
             self._live.directive(directive)
-        for command in self._commands.take():
-            self._summary.command(command)
+        for payload in self._commands.take():
+            self._hear(payload)
         for reply in self._replies.take():
             self._summary.reply(reply)
             self._print(self._live.reply(reply))
@@ -307,6 +310,17 @@ class _Run:
                     detail="" if state in ("ready", "starting") else state,
                 ),
             )
+
+    def _hear(self, payload: bytes) -> None:
+        """A command is told with its time; plain text has no id, and its replies alone tell of it."""
+        try:
+            command = decode_command(payload, fallback_id=PLAIN, epoch=0, now_ns=0)
+        except Fault as fault:
+            self._bus.faults["command"] = self._bus.faults.get("command", 0) + 1
+            self._bus.last_fault = f"command: {fault}"
+            return
+        if command.id != PLAIN:
+            self._summary.command(command)
 
     def _begin_and_say(self) -> None:
         """The run begins when the road is there and all who should listen do; the words of `--say` count from then."""

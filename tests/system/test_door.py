@@ -169,3 +169,12 @@ def test_the_door_comes_back_at_its_port_and_the_car_drives_on(
     record_property("measured", f"back after {back_s:.1f} s; {unanswered} of {summary['ticks']} ticks unanswered")
     assert (summary["restarts"], summary["collisions"]) == (1, 0)
     assert unanswered <= SOME + 0.01 * summary["ticks"]
+
+
+def test_a_command_of_plain_text_counts_as_no_refused_payload(tmp_path: Path) -> None:
+    with driving(tmp_path) as drive:
+        drive.bus.publish_bytes(topics.COMMAND, b"please slow down")
+        begun = drive.newest.tick
+        until(lambda: drive.newest.tick > begun + 15, "nothing drives")
+        summary = drive.end()
+    assert summary["refused_payloads"] == {}
