@@ -7,21 +7,32 @@ import json
 from pathlib import Path
 from typing import Any
 
+from deploy.lab.files import whole_lines
 from schemas.wire.text import json_line
 from slow_node.llm.answer import Answer
 from slow_node.llm.dialect import Chat
 from slow_node.llm.model import Call, ChatModel
+
+_ROW = b'{"key": '
+"""How a line of the file begins."""
+
+
+def _kept(line: bytes) -> tuple[str, dict[str, Any]]:
+    row = json.loads(line)
+    return row["key"], row
 
 
 class CachedModel(ChatModel):
     """Keeps what is answered in a file of JSON lines; what fails is asked anew."""
 
     def __init__(self, *args: Any, path: Path, salt: str = "", **options: Any) -> None:
-        """salt: what else an answer depends on, such as the adapter's digest."""
+        """salt: what else an answer depends on, such as the adapter's digest.
+
+        Raises `ConfigError` for a file that holds something else.
+        """
         super().__init__(*args, **options)
         self._path, self._salt = path, salt
-        lines = path.read_text("utf-8").splitlines() if path.exists() else []
-        self._known: dict[str, dict[str, Any]] = {row["key"]: row for row in map(json.loads, lines)}
+        self._known: dict[str, dict[str, Any]] = dict(whole_lines(path, _ROW, _kept))
 
     async def complete(
         self, chat: Chat, schema: dict[str, Any] | None, budget_s: float, calls: list[Call] | None = None

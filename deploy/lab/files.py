@@ -1,10 +1,15 @@
-"""A folder's files by value: how a task that ran elsewhere hands them over."""
+"""Files of the lab: a folder's by value, as a task that ran elsewhere hands them over, and one that grows by rows."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TypeVar
+
+from schemas.runtime.process import ConfigError
+
+Row = TypeVar("Row")
 
 
 def brought(folder: Path) -> dict[str, bytes]:
@@ -21,3 +26,23 @@ def put(files: Mapping[str, bytes], folder: Path, last: str) -> None:
         new = path.with_name(f"{path.name}.new")
         new.write_bytes(files[name])
         os.replace(new, path)
+
+
+def whole_lines(path: Path, begins: bytes, read: Callable[[bytes], Row]) -> list[Row]:
+    """What `read` makes of each line of a file to which rows are appended; nothing where there is no file yet.
+
+    A row at its end that was interrupted while it was written is cut off: the next one begins a line. begins: how every
+    row does. Raises `ConfigError` for a file that cannot be read, or holds something else; it stays as it is.
+    """
+    try:
+        content = path.read_bytes() if path.exists() else b""
+        *lines, rest = content.split(b"\n")
+        if not (rest.startswith(begins) or begins.startswith(rest)):
+            raise ValueError(rest)
+        rows = [read(line) for line in lines]
+        if rest:
+            os.truncate(path, len(content) - len(rest))
+    except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "it holds something else"
+        raise ConfigError(f"{path} cannot be gone on with: {why}; move it away, or name another file") from None
+    return rows

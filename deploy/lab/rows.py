@@ -7,7 +7,6 @@ import dataclasses
 import hashlib
 import json
 import math
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -18,10 +17,10 @@ from typing import Any
 from deploy.lab.agents import LANGUAGE, Agent, behind_the_mask, drive
 from deploy.lab.episodes import Directive
 from deploy.lab.farm import Farm, code_digest
+from deploy.lab.files import whole_lines
 from deploy.lab.language_driver import drive_dilu, memory, running_model
 from deploy.lab.orders import BEST, best_order
 from fast_node.policies.load import BUILT_IN
-from schemas.runtime.process import ConfigError
 from sim_node.results import EpisodeResult
 from sim_node.scenarios import Scenario
 
@@ -139,16 +138,7 @@ class Kept:
         if path is None:
             return
         self._code = code_digest()
-        try:
-            lines, rest = _lines(path.read_bytes() if path.exists() else b"")
-            for line in lines:
-                row = json.loads(line)
-                self._rows[row["cell"]] = ([EpisodeResult(**_read(e)) for e in row["episodes"]], row["more"])
-            if rest:  # it was interrupted while it was written
-                os.truncate(path, path.stat().st_size - len(rest))
-        except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
-            why = error.strerror if isinstance(error, OSError) else "it holds something else"
-            raise ConfigError(f"{path} cannot be gone on with: {why}; name another file") from None
+        self._rows = dict(whole_lines(path, _ROW, _driven))
 
     def of(self, cell: Cell) -> Driven | None:
         """What came of a cell, if it is kept."""
@@ -180,12 +170,10 @@ def is_kept(cell: Cell) -> bool:
     return not cell.asks_a_model and (not cell.is_policy or name in BUILT_IN or Path(cell.agent).is_file())
 
 
-def _lines(content: bytes) -> tuple[list[bytes], bytes]:
-    """The whole lines, and the beginning of a row at the end. Raises ValueError for an end that is something else."""
-    *lines, rest = content.split(b"\n")
-    if not (rest.startswith(_ROW) or _ROW.startswith(rest)):
-        raise ValueError(rest)
-    return lines, rest
+def _driven(line: bytes) -> tuple[str, Driven]:
+    """A row of the file: its cell's name, and what came of that."""
+    row = json.loads(line)
+    return row["cell"], ([EpisodeResult(**_read(e)) for e in row["episodes"]], row["more"])
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:

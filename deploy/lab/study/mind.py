@@ -25,6 +25,7 @@ from statistics import mean
 from typing import Any
 
 from deploy.lab.cached_model import CachedModel
+from deploy.lab.files import whole_lines
 from deploy.lab.interpreter import running_interpreter
 from deploy.lab.rider import Heard, Ridden, Rider, Wish, question, ride, scene_at
 from deploy.run.model_choice import choose_model
@@ -47,6 +48,8 @@ DELAYS_S = (0.0, 1.0, 2.0, 5.0, 10.0)
 ABLATIONS = ("scene", "memory")
 FIRST_SEED, SEEDS = 7000, 3
 AT_S, DURATION_S = 4.0, 34.0
+_ROW = b'{"driver": '
+"""How a line of the episodes begins."""
 READER_S, MODEL_S = 0.06, 1.0
 """How long they take without any added delay: what was measured beside the running stack, rounded."""
 
@@ -105,7 +108,7 @@ def run_mind_study(out: Path, *, seeds: int = SEEDS, quick: bool = False, as_jso
     rows = conditions(endpoint=not chosen.embedded, delays_s=(0.0, 5.0) if quick else DELAYS_S)
     places = [(wish, FIRST_SEED + n) for n in range(1 if quick else seeds) for wish in WISHES]
     kept = out / "episodes.jsonl"
-    known = {_key(row): row for row in _rows(kept)}
+    known = {_key(row): row for row in whole_lines(kept, _ROW, json.loads)}
     driven = {row["plan"]: Ridden(*(row[name] for name in Ridden.__match_args__)) for row in known.values()}
     salt = hashlib.sha256(ADAPTER.read_bytes()).hexdigest()[:16] if ADAPTER.exists() else ""
     for condition in rows:
@@ -202,11 +205,6 @@ def _named(condition: Condition, wish: Wish, seed: int) -> dict[str, Any]:
 
 def _key(row: dict[str, Any]) -> str:
     return json.dumps([row[name] for name in ("driver", "delay_s", "without", "scenario", "seed", "text")])
-
-
-def _rows(path: Path) -> list[dict[str, Any]]:
-    lines_of = path.read_text("utf-8").splitlines() if path.exists() else []
-    return [json.loads(line) for line in lines_of if line.endswith("}")]
 
 
 def _summary(condition: Condition, episodes: list[dict[str, Any]]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from deploy.lab.rider import Heard, Ridden, Rider, Wish, question, ride, scene_a
 from deploy.lab.study import mind
 from fast_node.policies.load import load_policy
 from fast_node.policies.policy import NamedPolicy
+from schemas.runtime.process import ConfigError
 from schemas.wire.program import Program, Step
 from slow_node.evaluation.score import exam_texts, plain_text
 from slow_node.interpretation import Interpretation
@@ -102,3 +103,19 @@ def test_an_answer_is_asked_for_once_and_a_failure_again(tmp_path: Path) -> None
             asked(server.url)
         assert [asked(server.url), asked(server.url), asked(server.url, "another adapter")] == ["one", "one", "two"]
     assert len([json.loads(line) for line in kept.read_text().splitlines()]) == 2
+
+
+def test_an_answer_that_was_interrupted_while_it_was_written_is_asked_for_again(tmp_path: Path) -> None:
+    kept = tmp_path / "answers.jsonl"
+    whole = json.dumps({"key": "a", "text": "\u2028 one", "probability": None}, ensure_ascii=False) + "\n"
+    kept.write_text(whole + '{"key": "b", "te', "utf-8")
+    assert set(CachedModel("http://127.0.0.1:9/v1", "m", "", path=kept)._known) == {"a"}
+    assert kept.read_text("utf-8") == whole  # the next row begins a line
+
+
+def test_a_file_of_somebody_else_is_not_gone_on_with_and_stays_as_it_is(tmp_path: Path) -> None:
+    kept = tmp_path / "answers.jsonl"
+    kept.write_text("my notes\n")
+    with pytest.raises(ConfigError, match="holds something else; move it away"):
+        CachedModel("http://127.0.0.1:9/v1", "m", "", path=kept)
+    assert kept.read_text() == "my notes\n"
