@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from deploy.lab.files import whole_lines
 from schemas.wire.text import json_line
+from slow_node.llm.adapter import ADAPTER
 from slow_node.llm.answer import Answer
 from slow_node.llm.dialect import Chat
 from slow_node.llm.model import Call, ChatModel
@@ -52,3 +55,9 @@ class CachedModel(ChatModel):
         if calls is not None:
             calls.append(Call(0.0, 0.0, "json_schema", Answer(kept["text"], probability=kept["probability"])))
         return str(kept["text"])
+
+
+def kept_in(path: Path) -> Callable[..., CachedModel]:
+    """Makes models whose answers are kept in a file, those with another adapter of the embedded model apart."""
+    salt = hashlib.sha256(ADAPTER.read_bytes()).hexdigest()[:16] if ADAPTER.exists() else ""
+    return partial(CachedModel, path=path, salt=salt)

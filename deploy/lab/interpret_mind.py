@@ -5,11 +5,10 @@ from __future__ import annotations
 
 import json
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from deploy.lab.cached_model import CachedModel
+from deploy.lab.cached_model import kept_in
 from deploy.lab.interpret_score import labelled_set, measure
 from deploy.run.processes import ModelOptions
 from schemas.runtime.process import CONFIG, OK, ConfigError
@@ -31,7 +30,7 @@ def mind_experiment(folder: Path, *, as_json: bool, per_kind: int | None, thread
     scores: dict[str, dict[str, Any]] = {}
     for name, options in WAYS.items():
         print(name, file=sys.stderr)
-        kept = partial(CachedModel, path=folder / "answers.jsonl")
+        kept = kept_in(folder / "answers.jsonl")
         try:
             model = ModelOptions(budget_s=BUDGET_S, embedded=True)
             needed = options["ask"] != "never"

@@ -13,18 +13,16 @@ and `endpoint` to the model only. At no added delay the prompt's parts are left 
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from statistics import mean
 from typing import Any
 
-from deploy.lab.cached_model import CachedModel
+from deploy.lab.cached_model import kept_in
 from deploy.lab.files import whole_lines
 from deploy.lab.interpreter import running_interpreter
 from deploy.lab.rider import Heard, Ridden, Rider, Wish, question, ride, scene_at
@@ -38,7 +36,6 @@ from slow_node.effects import Interpret
 from slow_node.evaluation.score import wilson95
 from slow_node.interpretation import Interpretation
 from slow_node.interpreter import Interpreter
-from slow_node.llm.adapter import ADAPTER
 from slow_node.planning.program_text import written
 from slow_node.planning.scene import Scene
 
@@ -110,12 +107,11 @@ def run_mind_study(out: Path, *, seeds: int = SEEDS, quick: bool = False, as_jso
     kept = out / "episodes.jsonl"
     known = {_key(row): row for row in whole_lines(kept, _ROW, json.loads)}
     driven = {row["plan"]: Ridden(*(row[name] for name in Ridden.__match_args__)) for row in known.values()}
-    salt = hashlib.sha256(ADAPTER.read_bytes()).hexdigest()[:16] if ADAPTER.exists() else ""
     for condition in rows:
         missing = [(wish, seed) for wish, seed in places if _key(_named(condition, wish, seed)) not in known]
         if not missing:
             continue
-        for row in _driven(condition, missing, partial(CachedModel, path=out / "answers.jsonl", salt=salt), driven):
+        for row in _driven(condition, missing, kept_in(out / "answers.jsonl"), driven):
             known[_key(row)] = row
             with kept.open("a", encoding="utf-8") as file:
                 file.write(json_line(row) + "\n")

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from deploy.lab.cached_model import CachedModel
+from deploy.lab.cached_model import CachedModel, kept_in
 from deploy.lab.rider import Heard, Ridden, Rider, Wish, question, ride, scene_at
 from deploy.lab.study import mind
 from fast_node.policies.load import load_policy
@@ -111,6 +111,20 @@ def test_an_answer_that_was_interrupted_while_it_was_written_is_asked_for_again(
     kept.write_text(whole + '{"key": "b", "te', "utf-8")
     assert set(CachedModel("http://127.0.0.1:9/v1", "m", "", path=kept)._known) == {"a"}
     assert kept.read_text("utf-8") == whole  # the next row begins a line
+
+
+def test_answers_with_another_adapter_are_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    adapter = tmp_path / "adapter.gguf"
+    monkeypatch.setattr("deploy.lab.cached_model.ADAPTER", adapter)
+
+    def salt() -> str:
+        return kept_in(tmp_path / "answers.jsonl")("http://127.0.0.1:9/v1", "m", "")._salt
+
+    assert salt() == ""
+    adapter.write_bytes(b"one")
+    one = salt()
+    adapter.write_bytes(b"another")
+    assert len({"", one, salt()}) == 3
 
 
 def test_a_file_of_somebody_else_is_not_gone_on_with_and_stays_as_it_is(tmp_path: Path) -> None:
