@@ -7,7 +7,8 @@ command goes on where it was stopped, and with the same answers it gives the sam
 Drivers: `none` (nobody listens), `reader` (the quick reader alone), `model` (the embedded model alone, behind the
 refusals), `both` (as it ships: the reader first, the model's verdict when it comes), `endpoint` (`both` with the
 endpoint that the environment names, if it names one). The delay is added to `reader` and `model` alone, and in `both`
-and `endpoint` to the model only. At no added delay the prompt's parts are left out in turn.
+and `endpoint` to the model only. At no added delay the prompt's parts are left out in turn, where the model is told
+of them: the embedded one is not, while its adapter answers with slots.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from slow_node.effects import Interpret
 from slow_node.evaluation.score import wilson95
 from slow_node.interpretation import Interpretation
 from slow_node.interpreter import Interpreter
+from slow_node.llm.adapter import read_adapter
 from slow_node.planning.program_text import written
 from slow_node.planning.scene import Scene
 
@@ -77,10 +79,10 @@ class Condition:
     without: str = ""
 
 
-def conditions(*, endpoint: bool, delays_s: Sequence[float] = DELAYS_S) -> list[Condition]:
-    """The rows of the table."""
+def conditions(*, endpoint: bool, told: bool, delays_s: Sequence[float] = DELAYS_S) -> list[Condition]:
+    """The rows of the table. told: whether the embedded model's prompt has more than the command."""
     late = ["reader", "model", "both", *(["endpoint"] if endpoint else [])]
-    asked = [driver for driver in late if driver in ("both", "endpoint")]
+    asked = [*(["both"] if told else []), *(["endpoint"] if endpoint else [])]
     return [
         Condition("none"),
         *(Condition(driver, delay_s) for driver in late for delay_s in delays_s),
@@ -102,7 +104,8 @@ def run_mind_study(out: Path, *, seeds: int = SEEDS, quick: bool = False, as_jso
     """Drive what is missing, write `mind.json`, print the table. quick: one seed, no delay and 5 s. Exit code."""
     out.mkdir(parents=True, exist_ok=True)
     chosen = choose_model()
-    rows = conditions(endpoint=not chosen.embedded, delays_s=(0.0, 5.0) if quick else DELAYS_S)
+    told = read_adapter().answers == "programs"
+    rows = conditions(endpoint=not chosen.embedded, told=told, delays_s=(0.0, 5.0) if quick else DELAYS_S)
     places = [(wish, FIRST_SEED + n) for n in range(1 if quick else seeds) for wish in WISHES]
     kept = out / "episodes.jsonl"
     known = {_key(row): row for row in whole_lines(kept, _ROW, json.loads)}
@@ -120,9 +123,11 @@ def run_mind_study(out: Path, *, seeds: int = SEEDS, quick: bool = False, as_jso
         _summary(condition, [known[_key(_named(condition, wish, seed))] for wish, seed in places]) for condition in rows
     ]
     result = {"schema": SCHEMA, "commands": len(WISHES), "seeds": [seed for _, seed in places[:: len(WISHES)]]}
-    result |= {"reader_s": READER_S, "model_s": MODEL_S, "rows": table}
+    result |= {"reader_s": READER_S, "model_s": MODEL_S, "told": told, "rows": table}
     (out / "mind.json").write_text(json.dumps(result, indent=1) + "\n")
     print(json.dumps(result) if as_json else "\n".join(lines(table)))
+    if not told and not as_json:
+        print("the embedded model is told of the command alone: there is nothing else to leave out")
     return 0
 
 

@@ -78,9 +78,14 @@ def test_the_question_that_is_asked_beforehand_is_the_one_of_the_drive(policy: N
 
 
 def test_every_row_of_the_table_is_driven_without_and_with_every_delay_and_each_part_left_out() -> None:
-    rows = [(one.driver, one.delay_s, one.without) for one in mind.conditions(endpoint=True)]
+    rows = [(one.driver, one.delay_s, one.without) for one in mind.conditions(endpoint=True, told=True)]
     assert len(rows) == len(set(rows)) == 1 + 4 * 5 + 2 * 2
     assert {driver for driver, _, _ in rows} == set(mind.DRIVERS)
+
+
+def test_nothing_is_left_out_of_a_prompt_that_has_the_command_alone() -> None:
+    left_out = [one.driver for one in mind.conditions(endpoint=True, told=False) if one.without]
+    assert left_out == ["endpoint", "endpoint"]
 
 
 def test_an_answer_is_asked_for_once_and_a_failure_again(tmp_path: Path) -> None:
