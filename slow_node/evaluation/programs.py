@@ -1,8 +1,9 @@
 """How well commands are read into programs, and what follows in a dialogue: labelled by hand, compared step by step.
 
 A label of a command is the outcome, the steps and the question; `also` has other readings that are as right. Of a
-step everything counts that says what is done, when and until when; whom it is about counts where the label has it. A
-label of a dialogue says of every turn what its directive changes, against the scene in which it was said.
+step everything counts that says what is done, when and until when; whom it is about, and by how much, count where the
+label has them. A label of a dialogue says of every turn what its directive changes, against the scene in which it was
+said.
 """
 
 from __future__ import annotations
@@ -99,7 +100,13 @@ def _same_steps(label: Sequence[Line], output: Sequence[Line]) -> bool:
     return len(label) == len(output) and all(map(_same_step, label, output))
 
 
+SIZE = ("value", "unit", "mode")
+
+
 def _same_step(label: Line, output: Line) -> bool:
+    # "Slower" is any amount slower, but not a speed that nobody named.
+    if not any(key in label for key in SIZE) and output.get("mode") in ("by", "factor"):
+        output = {key: value for key, value in output.items() if key not in SIZE}
     if label["act"] == "lane" and label.get("side") in ("left", "right"):
         label, output = {"count": 1, **label}, {"count": 1, **output}
     plain = all(

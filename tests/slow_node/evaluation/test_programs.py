@@ -48,6 +48,18 @@ def test_another_step_another_side_another_time_and_a_step_more_are_wrong(steps:
     assert right(label, {"outcome": "directive", "steps": [wish]})
 
 
+def test_slower_by_any_amount_is_slower_but_a_speed_that_nobody_named_is_not() -> None:
+    label = {"outcome": "directive", "question": "", "steps": [{"act": "slower"}], "also": []}
+    for size, is_right in (
+        ({"value": 0.8, "unit": "times", "mode": "factor"}, True),
+        ({"value": 2.8, "unit": "mps", "mode": "by"}, True),
+        ({"value": 20.0, "unit": "mps", "mode": "to"}, False),
+    ):
+        assert right(label, {"outcome": "directive", "steps": [{"act": "slower", **size}]}) is is_right
+    exact = {**label, "steps": [{"act": "slower", "value": 0.5, "unit": "times", "mode": "factor"}]}
+    assert not right(exact, {"outcome": "directive", "steps": [{"act": "slower"}]})
+
+
 def test_a_turn_is_judged_by_what_its_directive_changes() -> None:
     now = scene(1, speed=15.0)
     slower = directive_of(Slots(outcome="directive", speed="slower"), now)
