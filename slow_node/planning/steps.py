@@ -155,6 +155,8 @@ def _gap(step: Step, scene: Scene) -> dict[str, object]:
 
 def _yielding(step: Step, scene: Scene) -> dict[str, object]:
     """Room for who comes in ahead; for who comes from behind the lane to the right, where there is one."""
+    if step.polarity == "not":
+        return {"gap": "keep"}
     if step.side == "right":
         slower = {"speed": "slower", "target_speed_mps": max(scene.speed_mps - LEFT_BEHIND_MPS, 0.5 * scene.speed_mps)}
         return {**slower, "lane": "right"} if may_take(scene, scene.ego_lane + 1) else {**slower, "lane": "keep"}

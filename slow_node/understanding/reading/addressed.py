@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from slow_node.understanding.intent_parser import HEADS, IntentParser
+from slow_node.understanding.reading.lexicon import searchable
 from slow_node.understanding.text import fold
 
 HEAD = Path(__file__).parents[2] / "weights" / "talk.safetensors"
@@ -35,6 +36,31 @@ _BETWEEN = re.compile(
     r"a (?:ce soir|demain|tout a l.heure|plus tard|dopo|stasera|domani)|hasta (?:la noche|luego|manana)|ate (?:logo|amanha|ja)|"
     r"tot (?:vanavond|straks|morgen|zo))(?: please| bitte)?$"
 )
+_TO_AN_ADDRESS = re.compile(
+    r"\b(?:take|bring|drive|get|drop|deliver)(?: (?:me|us|him|her|them))?(?: off)? (?:to|at|home to) (?:number )?\d+[a-z]?,? "
+    r"(?!(?:on|in|along|for|this|the|that|km\w*|mph|kph|miles?|percent|metres?)\b)(?:[\w']+ ){1,3}(?:street|road|avenue|close|crescent|square|court|terrace|"
+    r"gardens?|drive|lane|hill|st|rd|ave)\b"
+    r"|\b(?:in die|in den|in der|zur|zum|nach|an den|an die) (?:[\w-]+ )?(?!land|bundes|schnell|haupt)\w{2,}-?(?:strasse|str\.?|allee|platz|gasse|weg|ufer) (?:nummer |nr\.? )?\d"
+    r"|\b(?:au|a l'adresse) (?:numero )?\d+(?: bis)?,? (?:de la |du )?(?:rue|avenue|boulevard|place|chemin|impasse|quai|allee)\b"
+    r"|\b(?:rue|avenue|boulevard|place|impasse) (?:[\w'-]+ ){1,4}(?:numero )\d"
+    r"|\b(?:a|hasta) (?:la )?(?:calle|avenida|avda\.?|plaza|paseo) (?:(?!a\b)[\w'-]+ ){1,4},?(?:numero )?\d"
+    r"|\b(?:in|a) (?:via|viale|corso|piazza|largo) (?:[\w'-]+,? ){1,3}(?:numero )?\d"
+    r"|\b(?:a|na|ate a) (?:rua|avenida|praca|travessa|alameda) (?:(?!a\b)[\w'-]+,? ){1,4}(?:numero )?\d"
+    r"|\bnaar (?:de |het )?(?!snel|auto)\w{2,}(?:straat|weg|laan|plein|gracht|kade|dreef|singel) (?:nummer )?\d"
+)
+"""A street with the number of a house."""
+_SMALL_TALK = re.compile(
+    r"^(?:and |so |hey |a ti |und |et |e |y )?(?:(?:do|don't|did) you (?:like|love|enjoy|fancy|remember|believe in) |(?:have|did) you (?:ever )?(?:seen?|hear|heard|read|been|eaten|watch\w*) |"
+    r"magst du |hast du .{0,40}\b(?:gesehen|gehort|gelesen|gegessen)\b|(?:est-ce que )?(?:tu )?(?:aimes|t'as vu|as vu|as-tu vu|as-tu lu)\b|te gustan? |has (?:visto|oido|leido) |"
+    r"ti piac(?:e|ciono) |hai (?:visto|sentito|letto) |gostas d|viste |ja viste |heb je .{0,40}\b(?:gezien|gehoord|gelezen)\b|hou je van |vind je .{0,30}\bleuk\b|"
+    r"(?:what a|how|quel(?:le)?|che|que|was fur ein\w*|wat een) (?:\w+ )?(?:lovely|beautiful|nice|gorgeous|beau|belle|joli\w*|magnifique|bel(?:la|lo)?|bonit\w|lind\w|schon\w*|mooi\w*|prachtig\w*)\b)"
+)
+_OF_DRIVING = re.compile(
+    r"@(?!car)|\b(?:lane|speed|limit|gap|distance|overtak\w+|slow\w*|fast\w*|driv\w+|sign|light|spur|tempo|limit|abstand|uberhol\w*|fahr\w*|voie|vitesse|"
+    r"doubl\w*|roul\w*|carril|velocidad\w*|adelant\w*|conduc\w*|corsia|velocita|sorpass\w*|guid\w*|faixa|ultrapass\w*|conduz\w*|strook|baan|"
+    r"snelheid|inhal\w*|rij\w*|cartell?o|schild|panneau|senal|sinal|bord|going|braking|coming)\b"
+)
+"""Questions and exclamations of people at leisure, and the words that make them of the drive."""
 _NAME = re.compile(r",\s*[A-Z\u00c0-\u00dd]\w+[.!?]*$")
 """What is said to somebody else about the car, and what fills a telephone call."""
 
@@ -66,6 +92,7 @@ class Addressed:
 
         known: whether a sentence is for the car by its words alone.
         """
+        parts = [part for part in parts if not at_leisure(part)]
         if self._weight is None or not 2 <= len(parts) <= MOST_SENTENCES:
             return parts
         likely = [0.0 if _talk(part) else 1.0 if known(part) else self.probability(part) for part in parts]
@@ -74,6 +101,14 @@ class Addressed:
         if found:
             return parts[found[0] : found[-1] + 1]  # what is said between two of them belongs to them
         return [] if best < PERHAPS else [parts[likely.index(best)]]
+
+
+def at_leisure(sentence: str) -> bool:
+    """Whether a sentence names an address or makes conversation, and says nothing of the drive."""
+    if _TO_AN_ADDRESS.search(searchable(sentence)):
+        return True
+    text = fold(sentence).strip(" ,.!?;:-\u2026\u00bf\u00a1")
+    return _SMALL_TALK.search(text) is not None and not _OF_DRIVING.search(searchable(sentence))
 
 
 def _talk(sentence: str) -> bool:

@@ -15,25 +15,33 @@ from slow_node.understanding.number_words import COMMON_WORDS, replaced
 LANGUAGES = ("en", "de", "fr", "es", "it", "pt", "nl", "any")
 _WHO = {
     "ambulance": r"ambulan\w+|krankenwagen|rettungswagen|notarzt|fire engine|fire truck|feuerwehr\w*|pompiers|bomber\w+|"
-    r"vigili del fuoco|brandweer\w*|emergency vehicle|police car|polizei\w*",
+    r"vigili del fuoco|brandweer\w*|emergency vehicle",
+    "police": r"police(?: car)?|cops?|polizei\w*|streifenwagen|gendarmes?|policia|polizia|carabinieri|politie\w*",
     "truck": r"(?:big )?(?:trucks?|lorr(?:y|ies)|hgvs?|lkws?|laster|lastwagen|camion(?:es|s)?|camiao|caminh(?:ao|oes)|"
     r"vrachtwagens?|vrachtauto|tankers?|juggernaut|semi)",
     "bus": r"bus(?:es)?|autobus|onibus|autocarro|coach|reisebus|school bus|pullman",
     "van": r"vans?(?! (?:de|het|die|dit|links|rechts|mij|ons|een|deze|hier|rijstrook|baan)\b)|transporter|lieferwagen|camionnettes?|fourgon|furgoneta|furgone|carrinha|bestelbus(?:je)?",
-    "motorcycle": r"motor(?:bikes?|cycles?|cyclist|rad|radfahrer)|moto|motards?|motociclista|motorrijder",
-    "cyclist": r"cyclists?|bicycles?|bikes?|rad(?:ler|fahrer(?:in)?)|fahrrad(?:fahrer)?|cyclistes?|velos?|ciclistas?|"
+    "motorcycle": r"motor(?:bikes?|cycles?|cyclist|rad|radfahrer)|(?<=die )motor|motos?|motas?|motards?|biker|motociclista|motorrijder",
+    "cyclist": r"cyclists?|bicycles?|(?:push)?bikes?|rad(?:ler|fahrer(?:in)?)|fahrrad(?:fahrer)?|cyclistes?|velos?|ciclistas?|"
     r"bicicletas?|bicicletta|fietsers?|fiets",
-    "pedestrian": r"pedestrians?|people|child(?:ren)?|kids?|fussganger\w*|kinder|(?<=das )kind|(?<=ein )kind|pietons?|enfants?|"
-    r"peaton(?:es)?|ninos?|nina|pedon[ei]|bambin[oai]|peao|peoes|pedestres?|crianca|voetgangers?|kinderen|(?<=een )kind|"
-    r"old (?:lady|man)|woman|man with a pram|schoolchildren",
-    "animal": r"dog|deer|cat|hund|reh|chien|perro|cane|cao|hond|ducks?",
-    "caravan": r"caravans?|wohnwagen|caravane|caravana|roulotte|camper|tractors?|traktor|trecker|tracteur|trattore",
+    "pedestrian": r"pedestrians?|people|fussganger\w*|pietons?|peaton(?:es)?|pedon[ei]|peao|peoes|pedestres?|voetgangers?|"
+    r"old (?:lady|man)|woman|man with a pram",
+    "child": r"child(?:ren)?|kids?|schoolchildren|kinder|(?<=das )kind|(?<=ein )kind|enfants?|ninos?|nina|bambin[oaie]|bimb[oaie]|"
+    r"criancas?|kinderen|(?<=een )kind",
+    "deer": r"deer|rehe?|hirsche?|chevreuils?|biche|ciervos?|corzos?|caprioli?o?|cerv[oi]|veados?|hert(?:en)?|reeen|moose|elk",
+    "animal": r"dogs?|cats?|ducks?|geese|horses?(?! ?-?(?:box|trailer|float|power))|cows?|sheep|ewes?|lambs?|fox(?:es)?|badgers?|hedgehogs?|(?:wild )?boars?|"
+    r"hunde?|wildschweine?|pferde?|kuhe|kuh|schafe?|fuchs|igel|chiens?|sangliers?|vaches?|chevaux|cheval|moutons?|renard|herisson|"
+    r"perros?|jabali(?:es)?|vacas?|caballos?|ovejas?|zorro|cani|cane|cinghial[ei]|mucc[ah]e?|cavall[oi]|pecor[ae]|"
+    r"cao|caes|javalis?|cavalos?|ovelhas?|raposa|honden|hond|wilde zwijnen|koeien|paarden|paard|schapen",
+    "caravan": r"caravans?|wohnwagen|wohnmobil|caravane|caravana|roulotte|camper|autocaravana",
+    "tractor": r"tractors?|traktor|trecker|tracteurs?|trattore|trator(?:es)?",
     "car": r"cars?|vehicles?|taxi|auto|wagen|voiture|coche|macchina|carro|suv|limo|saloon|hatchback|estate|kombi|bmw|"
     r"audi|mercedes|volkswagen|golf|tesla|toyota|porsche|(?<=that )one|(?<=this )one|(?<=the )one|guy|driver",
 }
 OBJECTS = tuple(_WHO)
 """Whom a step or a trigger may be about."""
-VULNERABLE = ("cyclist", "pedestrian", "motorcycle", "animal")
+ON_FOOT = ("pedestrian", "child", "cyclist", "animal", "deer")
+VULNERABLE = ("cyclist", "pedestrian", "child", "motorcycle", "animal", "deer")
 _OBJECTS = re.compile("|".join(rf"(?P<{name}>(?<!\w)(?:{words})(?!\w))" for name, words in _WHO.items()))
 _SMALL_WORDS = ("a", "sei", "se", "une", "una", "uma", "eine", "einer", "set", *COMMON_WORDS)
 """Numbers in one language, everyday words in another; besides what is one in any of them."""

@@ -12,7 +12,7 @@ from schemas.wire.program import MAX_STEPS, Program, Question, Step, Trigger
 from slow_node.understanding.intent_parser import IntentParser, Parsed
 from slow_node.understanding.reading.addressed import Addressed
 from slow_node.understanding.reading.clauses import Clause, clauses, sentences
-from slow_node.understanding.reading.lexicon import VULNERABLE, Found, Row, bare, rows, searchable, side_said
+from slow_node.understanding.reading.lexicon import ON_FOOT, VULNERABLE, Found, Row, bare, rows, searchable, side_said
 from slow_node.understanding.reading.standing import standing
 from slow_node.understanding.reading.values import corrected, steps_of, unbound, uses_miles
 from slow_node.understanding.slots import Slots
@@ -31,6 +31,10 @@ _CORRECTS = re.compile(
 )
 _DENIED = re.compile(r"\b(?:do ?n[o']?t|dont|not|never|nicht|nie|ne|pas|no|nunca|non|mai|nao|niet|nooit)\b[^,;]{0,20}$")
 _OTHERS = re.compile(r"^(?:somebody|someone|some idiot|he|she|they|jemand|quelqu.un|alguien|qualcuno|alguem|iemand)\b")
+_WHERE = re.compile(
+    r"^(?:there |right there |da |dort )?(?:on|in|at|by|along|am|auf|an|im|sur|au|dans|en|sul|sulla|na|no|op|langs) (?:the |der |die |den |dem |la |le |de |het )?"
+    r"(?:\w+ )?(?:verge|road|roadside|middle|street|strasse|waldrand|fahrbahn|seite|route|chaussee|bas-cote|carretera|calzada|arcen|strada|ciglio|estrada|berma|weg|berm)$"
+)
 _JOINED = re.compile(r"\b(?:and|but|und|aber|et|mais|y|pero|e|ma|mas|en|maar)\b|\d|,")
 LEFTOVER_WORDS = 4
 """So few words around something sure, and nothing that joins them to it, are how it was said."""
@@ -129,8 +133,8 @@ class ProgramReader:
                     continue
                 mine, known, follows = (certain.step,), True, certain.follows
             rest = clause.text if certain is None else certain.rest
-            if certain is not None and mine and (mine[0].act == "yield" or _OTHERS.search(rest)):
-                rest = ""  # what others do is why, and no wish
+            if certain is not None and mine and (_lets(mine[0]) or _OTHERS.search(rest) or _WHERE.search(rest)):
+                rest = ""  # what others do, and where, is why, and no wish
             if len(rest.split()) > (0 if certain is None else 1) and parsed < MOST_PARSED:
                 parsed += 1
                 part = self._parser.parse(rest, speed_mps, limit_mps)
@@ -145,6 +149,7 @@ class ProgramReader:
                 mine = _waited(clause.when)
                 if mine:
                     known, begins = True, None
+            mine = _not_said_before(mine, steps, begins)
             if not mine:
                 continue
             first = mine[0]
@@ -164,6 +169,7 @@ class ProgramReader:
             program = Program(outcome="unclear", steps=tuple(steps[:1]), miles=miles)
             label = whole.slots if whole.slots.cancel else Slots(outcome="unclear", language=language)
             return Reading(program, label, language, 1.0, 0.0, True)
+        steps = _about(steps, searchable(command))
         if not known and wishes != len(found) and whole.refused >= HARMLESS and refused >= 0.05:
             refused = whole.refused
         program = Program(outcome="directive", steps=tuple(steps[:MAX_STEPS]), miles=miles)
@@ -189,6 +195,36 @@ class ProgramReader:
         steps[0] = msgspec.structs.replace(steps[0], when=when, until=until)
         program = msgspec.structs.replace(reading.program, steps=tuple(steps))
         return Reading(program, whole.slots, reading.language, reading.confidence, reading.refused, True)
+
+
+def _not_said_before(mine: tuple[Step, ...], steps: list[Step], begins: Trigger | None) -> tuple[Step, ...]:
+    """What is no repetition: "ambulance behind us, let it pass" yields once, "careful, slowly" slows down once."""
+    left: list[Step] = []
+    for step in mine:
+        before = steps[-1] if steps else None
+        if begins is None and step.act == "yield" and before is not None and before.act == "yield":
+            if not before.object and step.object:
+                steps[-1] = msgspec.structs.replace(before, object=step.object)
+            continue
+        slowed = any(one.act == "slower" for one in (*steps, *left))
+        if begins is None and step.act == "slower" and step.mode in (None, "factor") and slowed:
+            continue
+        left.append(step)
+    return tuple(left)
+
+
+def _lets(step: Step) -> bool:
+    return step.act == "yield" and step.polarity == "do"
+
+
+def _about(steps: list[Step], text: str) -> list[Step]:
+    """The steps, those that let somebody go with whom another part of the command names."""
+    named = [who for who in re.findall(r"@(\w+)", text) if who not in ("car", "driver")]
+    riding = [who for who in named if who not in ("pedestrian", "child")]
+    if not named:
+        return steps
+    who = (riding or named)[0]
+    return [msgspec.structs.replace(s, object=who) if s.act == "yield" and not s.object else s for s in steps]
 
 
 def _corrected(found: list[Clause], sure: bool) -> bool:
@@ -231,7 +267,7 @@ def _sure(clause: Clause) -> _Sure | None:
             step = None if said is None else _follow_up(row, said)
             if step is not None:
                 return _Sure(step, "", True, rest)
-        for row in rows("phrases", "says"):
+        for row in (*rows("others", "says"), *rows("phrases", "says")):
             hit = row.search(candidate) if start == 0 or not row.fields.get("first") else None
             if hit is not None and not _DENIED.search(candidate[: hit.start]):
                 left = bare(f"{candidate[: hit.start]} {candidate[hit.end :]}")
@@ -293,4 +329,6 @@ def _step(row: Row, hit: Found) -> Step | None:
         fields["side"] = side
     if "who" in said and said["who"] != "car":
         fields["object"] = said["who"]
+    if fields["act"] == "yield" and fields.get("object") in ON_FOOT:
+        fields.pop("side", None)  # who is no car from behind
     return Step(**fields)

@@ -13,7 +13,13 @@ from slow_node.understanding.intent_parser import IntentParser
 from slow_node.understanding.reading.lexicon import Row, bare, rows, searchable
 from slow_node.understanding.reading.reader import ProgramReader
 
-GROUPS = (("phrases", "says"), ("questions", "asks"), ("questions", "follows"), ("triggers", "waits"))
+GROUPS = (
+    ("others", "says"),
+    ("phrases", "says"),
+    ("questions", "asks"),
+    ("questions", "follows"),
+    ("triggers", "waits"),
+)
 ROWS = [(group, row) for name, group in GROUPS for row in rows(name, group)]
 
 
@@ -94,6 +100,10 @@ WHO_ACTS = {
     "¡Cuidado con el ciclista!": {
         "act": "slower", "object": "cyclist", "value": 0.8, "unit": "times", "mode": "factor",
     },
+    "Don't let that van squeeze in.": {"act": "yield", "object": "van", "polarity": "not"},
+    "Ambulance behind us, let it through.": {"act": "yield", "object": "ambulance", "side": "right"},
+    "Lass die Kinder erst rübergehen": {"act": "yield", "object": "child"},
+    "He can go first, the bus.": {"act": "yield", "object": "bus"},
     "brake!": {"act": "slower", "value": 0.5, "unit": "times", "mode": "factor"},
     "stop for the pedestrian": {"act": "stop", "object": "pedestrian"},
     "Halt für die Fußgänger an": {"act": "stop", "object": "pedestrian"},
@@ -264,3 +274,16 @@ def test_a_program_is_validated_by_its_schema_and_comes_back_as_it_went() -> Non
     for bad in ({"act": "fly"}, {"act": "stop", "when": {"kind": "never"}}, {"act": "drive", "value": -1}, {"rule": 1}):
         with pytest.raises(msgspec.ValidationError):
             msgspec.convert({"outcome": "directive", "steps": [bad]}, Program)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "Breng me naar de Kerkstraat 12.",
+        "Bring mich in die Lindenstraße 45.",
+        "Drop me at 27 Baker Street",
+        "¿Te gusta el fútbol?",
+    ],
+)
+def test_an_address_and_small_talk_are_no_speed(reader: ProgramReader, command: str) -> None:
+    assert read(reader, command) == Program(outcome="out_of_scope")
