@@ -16,6 +16,7 @@ from slow_node.understanding.slots import Slots
 FOLLOW_UPS = ("more", "less", "again", "opposite", "back")
 A_BIT_M = 10.0
 """What a bit more room is where no number was said; of speed, see `A_BIT_MPS`."""
+MOST_LANES = 8
 _ASKED_ABOUT: dict[Question, Step] = {
     "why_not_overtake": Step(act="overtake"),
     "safe": Step(act="overtake"),
@@ -68,14 +69,17 @@ def resolved(said: Step, last: Said) -> tuple[Step, ...]:
         return tuple(replace(step, when=None, polarity="do") for step in last.steps)
     if act == "again" and said.value is not None:
         return _of_size(said, last)
-    if act == "again":
+    if act == "again" and not any(step.act == "lane" and step.count and not step.side for step in last.steps):
         return last.steps
+    if act == "back" and said.object == "one" and any(step.act == "lane" for step in last.steps):
+        return _one_back(last)
     if act == "back":
         return _as_before(last)
     changed: list[Step] = []
     for step in last.steps:
         plain = replace(step, when=None, until=None)
-        one = {"more": _more, "less": _less, "opposite": _opposite}[act](_as_change(plain, last.scene))
+        change = _named_as_change(plain) if act in ("more", "less") else plain
+        one = {"more": _more, "again": _more, "less": _less, "opposite": _opposite}[act](_as_change(change, last.scene))
         if one is not None:
             changed.append(one)
     return tuple(changed)
@@ -89,6 +93,8 @@ def _of_size(said: Step, last: Said) -> tuple[Step, ...]:
         trigger: Trigger | None = getattr(step, name)
         if trigger is not None and trigger.kind in ("time", "distance"):
             return (*before, replace(step, **{name: replace(trigger, value=value)}))
+    if step.act == "lane" and 1 <= value <= MOST_LANES and not value % 1:
+        return (*before, Step(act="lane", count=int(value)))
     if step.unit in ("s", "m"):
         return (*before, replace(step, value=value, unit=said.unit or step.unit))
     if step.unit == "mps" and step.value is not None and step.mode == "by":
@@ -96,8 +102,27 @@ def _of_size(said: Step, last: Said) -> tuple[Step, ...]:
     return ()
 
 
+def _named_as_change(step: Step) -> Step:
+    """More of a speed or a gap that was named is a higher one, whatever it was before."""
+    if step.mode in ("to", "at_least", "at_most") and step.value is not None and step.act in ("drive", "gap"):
+        return Step(act="faster" if step.act == "drive" else "farther")
+    return step
+
+
+def _one_back(last: Said) -> tuple[Step, ...]:
+    """One lane towards where we were before a change of lanes."""
+    step = _opposite(_as_change(next(step for step in last.steps if step.act == "lane"), last.scene))
+    if step is None or step.side is None:
+        return ()
+    return (Step(act="lane", side="left" if step.side.startswith("left") else "right", count=1),)
+
+
 def _as_change(step: Step, scene: Scene) -> Step:
     """A value that was named as the change that it was then."""
+    own = scene.own_lanes
+    if step.act == "lane" and step.side is None and step.count is not None and scene.ego_lane in own:
+        here = own.index(scene.ego_lane) + 1
+        return Step(act="lane", side="left" if step.count < here else "right", count=1)
     if (
         step.act in ("drive", "faster", "slower")
         and step.value is not None

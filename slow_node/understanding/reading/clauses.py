@@ -74,6 +74,8 @@ class Clause:
     until: Trigger | None = None
     then: bool = False
     """It follows what was said before."""
+    asks: bool = False
+    """A question mark ends its sentence."""
 
 
 def sentences(command: str) -> list[str]:
@@ -85,6 +87,7 @@ def clauses(sentence: str) -> list[Clause]:
     """The clauses of one sentence, in order."""
     text = _EVERY_ROAD.sub("", _in_order(searchable(sentence)))
     found: list[Clause] = []
+    asks = sentence.rstrip().endswith("?")
     waiting: Trigger | None = None
     for number, part in enumerate(_THEN.split(_FIRST.sub("", _LEAD_IN.sub("", text)))):
         rest, when, until = _cut(part)
@@ -94,7 +97,7 @@ def clauses(sentence: str) -> list[Clause]:
         if not rest:
             waiting = when
             continue
-        found.append(Clause(rest, when, until, number > 0 and bool(found)))
+        found.append(Clause(rest, when, until, number > 0 and bool(found), asks))
         waiting = None
     if waiting is not None:
         found.append(Clause("", waiting, None, bool(found)))

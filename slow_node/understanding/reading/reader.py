@@ -13,6 +13,7 @@ from slow_node.understanding.intent_parser import IntentParser, Parsed
 from slow_node.understanding.reading.addressed import Addressed
 from slow_node.understanding.reading.clauses import Clause, clauses, sentences
 from slow_node.understanding.reading.lexicon import ON_FOOT, VULNERABLE, Found, Row, bare, rows, searchable, side_said
+from slow_node.understanding.reading.questions import question_in
 from slow_node.understanding.reading.standing import standing
 from slow_node.understanding.reading.values import corrected, steps_of, unbound, uses_miles
 from slow_node.understanding.slots import Slots
@@ -38,6 +39,14 @@ _WHERE = re.compile(
 _JOINED = re.compile(r"\b(?:and|but|und|aber|et|mais|y|pero|e|ma|mas|en|maar)\b|\d|,")
 LEFTOVER_WORDS = 4
 """So few words around something sure, and nothing that joins them to it, are how it was said."""
+_WAVERS = re.compile(
+    r"^(?:(?:no+(?= ?[,.!]| no\b)|nope|nah|naw|actually|hmm+|well|sorry|pardon|wait|whoa|okay|on second thoughts?|nein|nee|na|ach|doch|lieber|doch lieber|"
+    r"non|en fait|finalement|anzi|scusa|perdon|afinal|nao|und|and|et|y|e|en|now|jetzt|nu|ora|agora|ahora|bueno|pues)(?!\w)[ ,.!]*)+"
+)
+"""What a change of mind begins with."""
+_POLITE = re.compile(
+    r"^(?:if (?:that.s|it.s) (?:ok(?:ay)?|all right|possible)|if you (?:would|could|can)|please)\b[ ,.]*"
+)
 _SAYS_NO = re.compile(r"^(?:no|nope|nein|non|nee|nao|ne|oh|hm+|wait|stop|well)$")
 
 
@@ -258,20 +267,20 @@ def _sure(clause: Clause) -> _Sure | None:
         rest = bare(", ".join([*parts[:start], *parts[end:]]))
         if not candidate:
             continue
-        for row in rows("questions", "asks"):
-            hit = row.search(candidate)
-            if hit is not None and hit.start == 0:
-                return _Sure(None, row.fields["question"], False, rest)
+        question = question_in(candidate, clause.asks)
+        if question:
+            return _Sure(None, question, False, rest)
         for row in rows("questions", "follows"):
-            said = next((m for pattern in row.patterns if (m := pattern.fullmatch(candidate))), None)
+            forms = (candidate, _WAVERS.sub("", candidate))
+            said = next((m for form in forms for p in row.patterns if (m := p.fullmatch(form))), None)
             step = None if said is None else _follow_up(row, said)
             if step is not None:
-                return _Sure(step, "", True, rest)
+                return _Sure(step, "", True, _POLITE.sub("", _WAVERS.sub("", f"{rest} ")).strip())
         for row in (*rows("others", "says"), *rows("phrases", "says")):
             hit = row.search(candidate) if start == 0 or not row.fields.get("first") else None
             if hit is not None and not _DENIED.search(candidate[: hit.start]):
                 left = bare(f"{candidate[: hit.start]} {candidate[hit.end :]}")
-                if row.fields.get("open") and rest:
+                if rest and (row.fields.get("open") or row.fields.get("alone")):
                     continue
                 step = Step(act=row.fields["step"]["act"]) if row.fields.get("open") else _step(row, hit)
                 if step is not None:

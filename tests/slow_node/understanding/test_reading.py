@@ -18,6 +18,7 @@ GROUPS = (
     ("phrases", "says"),
     ("questions", "asks"),
     ("questions", "follows"),
+    ("topics", "topics"),
     ("triggers", "waits"),
 )
 ROWS = [(group, row) for name, group in GROUPS for row in rows(name, group)]
