@@ -72,7 +72,8 @@ def evaluate(
         list[str] | None,
         typer.Option(
             metavar="SPEC",
-            help="Any policy that `run --policy` takes, behind the mask; may be repeated.",
+            help="Any policy that `run --policy` takes, behind the mask; may be repeated. Two alone are compared, "
+            "paired by seed.",
             show_default="none",
         ),
     ] = None,
@@ -168,6 +169,8 @@ def evaluate(
             raise typer.BadParameter(f"no folder {file.parent}: make it first", param_hint=f"'{option}'")
     checkpoints = checkpoint or []
     pair = pair_of(checkpoints, alone=not (agent or policy or everything))
+    if not (pair or checkpoints or agent or everything) and len(set(policy or ())) == 2:
+        pair = list(dict.fromkeys(policy or ()))
     with readable_ends():
         if plot is not None:
             import_module("matplotlib")  # a missing one is told before minutes of driving, not after

@@ -13,7 +13,7 @@ from deploy.lab.statistics import t_interval
 from sim_node.results import EpisodeResult
 
 Episode = dict[str, Any]
-COMPARED = ("success", "collided", "avg_speed", "min_ttc_s", "jerk_rms", "override_share")
+COMPARED = ("ride_score", "success", "collided", "avg_speed", "min_ttc_s", "jerk_rms", "override_share")
 """What the difference is taken of, episode by episode."""
 
 

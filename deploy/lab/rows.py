@@ -156,7 +156,8 @@ class Kept:
     def _name(self, cell: Cell) -> str:
         """Readable at its head; its tail is different for whatever might make its episodes different."""
         parts = [self._code, *(f"{f.name}={getattr(cell, f.name)!r}" for f in dataclasses.fields(cell))]
-        for path in (cell.checkpoint, Path(cell.agent) if cell.is_policy else None):
+        named = (cell.agent, cell.agent.partition(":")[2]) if cell.is_policy else ()
+        for path in (cell.checkpoint, *map(Path, named)):
             if path is not None and path.is_file():
                 files = (path, path.with_suffix(".json"))
                 parts += [hashlib.sha256(p.read_bytes()).hexdigest() for p in files if p.is_file()]

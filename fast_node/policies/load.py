@@ -12,7 +12,7 @@ from fast_node.policies.ablated import BlindPolicy, DeafPolicy, untrained_of
 from fast_node.policies.attention import SHIPPED, load_attention
 from fast_node.policies.checkpoint import read_sidecar
 from fast_node.policies.fixed import constant_of, random_of
-from fast_node.policies.gaps import GapPolicy
+from fast_node.policies.gaps import GapPolicy, read_weights
 from fast_node.policies.mlp import BASELINES, LEARNERS, VARIANTS, load_mlp, shipped
 from fast_node.policies.outsider import load_outsider, prove
 from fast_node.policies.policy import NamedPolicy
@@ -57,14 +57,20 @@ def _checkpoint(path: Path, _: str = "") -> NamedPolicy:
 
 def _ours(_: str) -> NamedPolicy:
     network = _checkpoint(SHIPPED)
-    return replace(network, policy=GapPolicy(network.policy))
+    return replace(network, policy=GapPolicy(network.policy, read_weights()))
+
+
+def _gaps(path: str) -> NamedPolicy:
+    network = _checkpoint(SHIPPED)
+    return replace(network, policy=GapPolicy(network.policy, read_weights(Path(path)) if path else None))
 
 
 BUILT_IN: dict[str, Callable[[str], NamedPolicy]] = {
     OURS: _ours,
     "network": partial(_checkpoint, SHIPPED),
+    "gaps": _gaps,
     "rule": lambda _: NamedPolicy("rule", RulePolicy()),
-    "rule-gaps": lambda _: NamedPolicy("rule-gaps", GapPolicy(RulePolicy())),
+    "rule-gaps": lambda _: NamedPolicy("rule-gaps", GapPolicy(RulePolicy(), read_weights())),
     "constant": lambda words: NamedPolicy("constant", constant_of(words)),
     "random": lambda seed: NamedPolicy("random", random_of(seed), stateless=False),
     "blind": lambda _: NamedPolicy("blind", BlindPolicy()),
@@ -73,5 +79,10 @@ BUILT_IN: dict[str, Callable[[str], NamedPolicy]] = {
     **{f"{a}-{v}": partial(_checkpoint, shipped(a, v)) for a in BASELINES for v in VARIANTS},
 }
 """What every installation has: what comes after the name's colon, to the policy."""
-TAKE_MORE = {"constant": "constant:ACTION[,ACTION...]", "random": "random:SEED", "untrained": "untrained:SEED"}
+TAKE_MORE = {
+    "gaps": "gaps[:FILE]",
+    "constant": "constant:ACTION[,ACTION...]",
+    "random": "random:SEED",
+    "untrained": "untrained:SEED",
+}
 """The names that take more after a colon, as messages show them."""

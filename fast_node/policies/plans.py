@@ -38,7 +38,9 @@ CATCH_UP_MPS, DROP_BACK_MPS = 4.0, 8.0
 MARGIN_M = 15.0
 """A change must begin so long before where the task ends."""
 BEFORE_END_M, BEFORE_END_S = 12.0, 2.0
-"""... and where a lane ends: see `mask.entering`."""
+"""... and where one of the two lanes ends: see `mask.entering`."""
+LEFT_MOST_M, SPARE_MOST_M = 300.0, 20.0
+"""More road left, or more room to spare, than this is as good."""
 STANDSTILL_M = 2.5
 NEAREST = (6.0 - 2.5) ** 2
 """Too near to a leader the ego is 2.5 m/s slower than it, as `choice.closing_mps` has it."""
@@ -55,15 +57,25 @@ class Plans(NamedTuple):
     """(B, P) when the change would be open; `NEVER_S`: not in time."""
     lost_m: Array
     """(B, P) how much farther the ego would have come by then at the wished speed; 0 if never."""
+    left_m: Array
+    """(B, P) how much road is left then to begin the change on, at most `LEFT_MOST_M`; 0 if never."""
+    spare_m: Array
+    """(B, P) how much more room there is then than the change needs, at most `SPARE_MOST_M`; 0 if never."""
+
+
+def own_lane_ends(x: Array) -> Bools:
+    """(B,) whether the ego's lane ends before the one to be entered, as a ramp does. x: (B, N, F)."""
+    own = x[:, 0]
+    return np.asarray(own[:, f.ENDS] < own[:, f.AIM_ENDS])
 
 
 def to_enter(x: Array) -> NDArray[np.int64]:
     """(B,) the side of the lane to be entered, -1 left, 1 right; 0: none, or it is an oncoming one, or the ego is
-    changing already, or its own lane ends before that one, or there is time: the task ends beyond 2 km, the feature's
-    bound. x: (B, N, F)."""
+    changing already, or there is time: neither its own lane nor the task ends within 2 km, the features' bound.
+    x: (B, N, F)."""
     own = x[:, 0]
     free = (own[:, f.Y_WISHED] > 0) & (own[:, f.CHANGING] == 0) & (own[:, f.BORROWS] == 0)
-    free &= (own[:, f.ENDS] >= own[:, f.AIM_ENDS]) & (own[:, f.GOAL_LEFT] < f.BOUND)
+    free &= own_lane_ends(x) | (own[:, f.GOAL_LEFT] < f.BOUND)
     return np.where(free, np.sign(own[:, f.LANE_OFF]), 0).astype(np.int64)
 
 
@@ -87,17 +99,22 @@ def plans(x: Array, side: NDArray[np.int64]) -> Plans:
     held = v + 5.0 * own[:, f.SET_POINT]
     target, car, exists, now = _targets(v, wished, held, lane_mps, there, at, mps, half)
     way, speed = _courses(v, wished, held, target, car, lead_at, lead_mps, lead_half, headway)
-    fits = _fits(way, speed, there, at, mps, half, np.minimum(headway, 1.0)) & exists[..., None]
-    fits &= way >= 100.0 * own[:, f.OPENS, None, None]
-    fits &= way <= 100.0 * own[:, f.GOAL_LEFT, None, None] - MARGIN_M
-    fits &= way <= 100.0 * own[:, f.AIM_ENDS, None, None] - BEFORE_END_M - BEFORE_END_S * speed
-    first = fits.argmax(-1)
-    some = fits.any(-1)
+    spare = _spare(way, speed, there, at, mps, half, np.minimum(headway, 1.0))
+    lane_left = 100.0 * np.minimum(own[:, f.AIM_ENDS], own[:, f.ENDS])[:, None, None] - BEFORE_END_M
+    left = np.minimum(100.0 * own[:, f.GOAL_LEFT, None, None] - MARGIN_M, lane_left - BEFORE_END_S * speed) - way
+    fits = (spare >= 0.0) & (left >= 0.0) & (way >= 100.0 * own[:, f.OPENS, None, None]) & exists[..., None]
+    first, some = fits.argmax(-1), fits.any(-1)
+
+    def then(values: Array) -> Array:
+        return np.where(some, np.take_along_axis(values, first[..., None], -1)[..., 0], 0.0)
+
     return Plans(
         exists,
         now,
         np.where(some, MOMENTS[first], NEVER_S),
-        np.where(some, wished[:, None] * MOMENTS[first] - np.take_along_axis(way, first[..., None], -1)[..., 0], 0.0),
+        np.where(some, wished[:, None] * MOMENTS[first] - then(way), 0.0),
+        then(np.minimum(left, LEFT_MOST_M)),
+        then(spare),
     )
 
 
@@ -173,14 +190,15 @@ def _courses(
     return ways, speeds
 
 
-def _fits(way: Array, speed: Array, there: Bools, at: Array, mps: Array, half: Array, gap_s: Array) -> Bools:
-    """(B, P, K) whether there is room between the cars of the lane, as `mask.entering` and `choice.worth_entering`
-    ask for it with preset "sim", at 5 m/s and more. A car that passes the ego at more than twice
-    its speed counts as gone once it is ahead; the mask waits until it is 1.5 m ahead."""
+def _spare(way: Array, speed: Array, there: Bools, at: Array, mps: Array, half: Array, gap_s: Array) -> Array:
+    """(B, P, K) how much more room there is between the cars of the lane than `mask.entering` and
+    `choice.worth_entering` ask for with preset "sim" at 5 m/s and more, at most `SPARE_MOST_M`; negative: too little. A
+    car that passes the ego at more than twice its speed counts as gone once it is ahead; the mask waits until it is
+    1.5 m ahead."""
     safe = speed * (2.0 / 15.0) + (speed + 2.0 / 15.0) ** 2 / 14.0 + 1.51
     worth = (gap_s[:, None, None] + 1.0) * speed
     brakes = 0.1 * speed * speed
-    fits = np.ones(way.shape, np.bool_)
+    spare = np.full(way.shape, SPARE_MOST_M, way.dtype)
     for n in range(there.shape[1]):
         here = there[:, n]
         if not here.any():
@@ -190,6 +208,6 @@ def _fits(way: Array, speed: Array, there: Bools, at: Array, mps: Array, half: A
         front = np.maximum(safe - v * v / 18.0, worth - v)
         spared = 1.2566 * (5.0 + 1.5 * v + v * (v - speed) / 7.746)
         rear = np.maximum(np.maximum(spared, 3.5), 0.8 * v + 0.16 + (v + 0.4) ** 2 / 12.0 - brakes)
-        room = np.where(apart > 0.0, apart >= front + half[:, n, None, None], -apart >= rear + half[:, n, None, None])
-        fits &= room | ~here[:, None, None]
-    return fits
+        room = np.abs(apart) - np.where(apart > 0.0, front, rear) - half[:, n, None, None]
+        np.minimum(spare, np.where(here[:, None, None], room, SPARE_MOST_M), out=spare)
+    return spare

@@ -210,6 +210,13 @@ def test_an_unknown_preset_is_refused_with_the_choice() -> None:
         drive("ours", SCENARIOS["merge"], [1000], mask_preset="lunar")
 
 
+def test_two_policies_alone_are_compared_by_seed_and_with_an_agent_beside_them_not() -> None:
+    asked = ["evaluate", "--scenario", "merge", "--policy", "rule", "--policy", "constant:cruise", "--episodes", "2"]
+    (row,) = json.loads(CliRunner().invoke(app, [*asked, "--json"]).stdout)["paired"]
+    assert (row["first"], row["second"], row["ride_score"]["pairs"]) == ("rule", "constant:cruise", 2)
+    assert "paired" not in json.loads(CliRunner().invoke(app, [*asked, "--agent", "idm", "--json"]).stdout)
+
+
 def test_a_repeated_wish_gives_every_agent_one_row_each_that_names_it() -> None:
     asked = ["evaluate", "--scenario", "merge", "--agent", "rule", "--agent", "idm", "--wish", "10", "--wish", "15"]
     rows = json.loads(CliRunner().invoke(app, [*asked, "--episodes", "1", "--json"]).stdout)["rows"]

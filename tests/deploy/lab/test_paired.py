@@ -16,7 +16,7 @@ from fast_node.policies.mlp import shipped
 
 
 def episodes(agent: str, speeds: dict[int, float]) -> list[dict[str, object]]:
-    numbers = dict.fromkeys(("success", "collided", "min_ttc_s", "jerk_rms", "override_share"), 1.0)
+    numbers = dict.fromkeys(("ride_score", "success", "collided", "min_ttc_s", "jerk_rms", "override_share"), 1.0)
     place = {"scenario": "highway", "wish_mps": None, "agent": agent}
     return [{**place, "seed": seed, **numbers, "avg_speed": speed} for seed, speed in speeds.items()]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,12 +13,13 @@ from hypothesis import strategies as st
 from fast_node.choice import narrow
 from fast_node.mask import OPEN, close_actions
 from fast_node.mask.entering import CREEP_MPS
-from fast_node.policies.gaps import GapPolicy, best_of
+from fast_node.policies.gaps import DESCRIBED, GapPolicy, best_of, described, in_order
 from fast_node.policies.load import load_policy
-from fast_node.policies.plans import NEVER_S, PLANS, SPEEDS, plans, to_enter
+from fast_node.policies.plans import NEVER_S, PLANS, PRESENT, SPARE_MOST_M, SPEEDS, plans, to_enter
 from fast_node.policies.rule import RulePolicy, rule_logits
 from schemas.driving.features import Array, features
 from schemas.driving.road import NOBODY
+from schemas.runtime.process import ConfigError
 from schemas.wire.messages import MetaAction
 from tests.mask_scenes import HIGHWAY, SIGHT_M, SIM
 from tests.scenes import car
@@ -39,12 +41,12 @@ def queue(gap_m: float, first_m: float = -100.0, count: int = 8, mps: float = 21
     return [car(1 + k, first_m + k * (gap_m + 5.0), 1, mps) for k in range(count)]
 
 
-def test_it_plans_only_where_a_lane_of_our_direction_is_to_be_entered_by_choice() -> None:
+def test_it_plans_only_where_a_lane_of_our_direction_is_to_be_entered_in_time() -> None:
     assert to_enter(scene(aim=1)) == [1]
     assert to_enter(scene(aim=0)) == [0]
-    assert to_enter(scene(aim=1, ends=200.0)) == [0]
     assert to_enter(scene(aim=1, borrows=True)) == [0]
     assert to_enter(scene(aim=1, goal_m=5000.0)) == [0]
+    assert to_enter(scene(aim=1, goal_m=5000.0, ends=200.0)) == [1]
 
 
 def test_an_empty_lane_is_open_at_once_and_no_speed_is_given_up_for_it() -> None:
@@ -58,6 +60,67 @@ def test_a_lane_without_a_gap_never_opens_and_the_wished_speed_is_kept() -> None
     known = plans(scene(*queue(30.0), goal_m=300.0), np.array([1]))
     assert (known.open_s == NEVER_S).all()
     assert best_of(known) == pytest.approx(WISHED)
+
+
+def test_a_change_is_not_planned_beyond_the_end_of_the_own_lane() -> None:
+    others = [car(1, 0.0, 1, 27.0)]  # it is past soon, and then there is room
+    late, never = (plans(scene(*others, ends=ends), np.array([1])) for ends in (700.0, 300.0))
+    assert 0.0 < late.open_s[0, PRESENT] < NEVER_S
+    assert 0.0 < late.left_m[0, PRESENT] < 300.0
+    assert never.open_s[0, PRESENT] == NEVER_S
+    assert never.left_m[0, PRESENT] == never.spare_m[0, PRESENT] == 0.0
+
+
+def test_the_room_to_spare_is_what_is_left_of_the_gap() -> None:
+    near, far = (plans(scene(car(1, gap, 1, V)), np.array([1])).spare_m[0, PRESENT] for gap in (35.0, 42.0))
+    assert far - near == pytest.approx(7.0, abs=1e-3)
+    assert plans(scene(), np.array([1])).spare_m[0, PRESENT] == SPARE_MOST_M
+
+
+def test_every_plan_is_described_in_numbers_of_about_one() -> None:
+    known = plans(scene(car(1, 50.0, 1, V), ends=400.0), np.array([1]))
+    plan = dict(zip(DESCRIBED, described(known)[0, 0].tolist(), strict=True))
+    assert plan == pytest.approx(
+        {
+            "open": known.open_s[0, 0] / 10.0,
+            "never": 0.0,
+            "lost": known.lost_m[0, 0] / 50.0,
+            "turn": (WISHED - V) / 5.0,
+            "up": (WISHED - V) / 5.0,
+            "wished": 1.0,
+            "present": 0.0,
+            "left": known.left_m[0, 0] / 300.0,
+            "spare": known.spare_m[0, 0] / 20.0,
+            "ahead": 0.0,
+            "behind": 0.0,
+            "slower": 0.0,
+        }
+    )
+
+
+def test_learnt_weights_count_before_a_lanes_end_and_those_by_hand_before_the_tasks() -> None:
+    slowest = in_order(dict.fromkeys(DESCRIBED, 0.0) | {"slower": -1.0})
+    ours, by_hand = GapPolicy(RulePolicy(), slowest), GapPolicy(RulePolicy())
+    ramp, task = scene(ends=400.0), scene()
+    assert ours.logits(ramp)[0, MetaAction.SLOW_DOWN] > by_hand.logits(ramp)[0, MetaAction.SLOW_DOWN]
+    np.testing.assert_array_equal(ours.logits(task), by_hand.logits(task))
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (None, "No such file"),
+        ("{", "truncated"),
+        ('{"weights": {"open": "much"}}', "Expected `float`"),
+        ('{"weights": {"open": 1.0}}', "it weighs open, not open, never"),
+    ],
+)
+def test_a_file_that_holds_no_weights_is_refused_with_the_fix(tmp_path: Path, content: str | None, told: str) -> None:
+    path = tmp_path / "plans.json"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(ConfigError, match=f"(?s){told}.*make plans"):
+        load_policy(f"gaps:{path}")
 
 
 def test_a_gap_beside_the_ego_is_not_driven_past() -> None:

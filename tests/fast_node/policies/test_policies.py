@@ -209,7 +209,7 @@ def test_an_outsider_that_cannot_drive_is_refused_in_one_line(outsider: Outsider
 
 @pytest.mark.parametrize("spec", ["nobody", "", "rule:", "rule:1", "constant", ":load", "mine:"])
 def test_an_unknown_name_is_refused_with_those_that_there_are(spec: str) -> None:
-    with pytest.raises(ConfigError, match=r"cruise|fastslow, network, rule"):
+    with pytest.raises(ConfigError, match=r"cruise|fastslow, network, gaps"):
         load_policy(spec)
 
 
