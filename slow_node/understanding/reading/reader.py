@@ -32,6 +32,10 @@ _CORRECTS = re.compile(
 )
 _DENIED = re.compile(r"\b(?:do ?n[o']?t|dont|not|never|nicht|nie|ne|pas|no|nunca|non|mai|nao|niet|nooit)\b[^,;]{0,20}$")
 _OTHERS = re.compile(r"^(?:somebody|someone|some idiot|he|she|they|jemand|quelqu.un|alguien|qualcuno|alguem|iemand)\b")
+_HALT = re.compile(
+    r"^(?:(?:stop|halt|stopp|anhalten|arrete|arrete-toi|para|parate|detente|alto|fermati|ferma|pare|stoppen)[ ,!]*)+$"
+)
+"""Beside a warning: it is stopped for it."""
 _WHERE = re.compile(
     r"^(?:there |right there |da |dort )?(?:on|in|at|by|along|am|auf|an|im|sur|au|dans|en|sul|sulla|na|no|op|langs) (?:the |der |die |den |dem |la |le |de |het )?"
     r"(?:\w+ )?(?:verge|road|roadside|middle|street|strasse|waldrand|fahrbahn|seite|route|chaussee|bas-cote|carretera|calzada|arcen|strada|ciglio|estrada|berma|weg|berm)$"
@@ -142,6 +146,8 @@ class ProgramReader:
                     continue
                 mine, known, follows = (certain.step,), True, certain.follows
             rest = clause.text if certain is None else certain.rest
+            if mine and mine[0].act == "slower" and _HALT.match(rest):
+                mine, rest = (Step(act="stop", object=mine[0].object),), ""
             if certain is not None and mine and (_lets(mine[0]) or _OTHERS.search(rest) or _WHERE.search(rest)):
                 rest = ""  # what others do, and where, is why, and no wish
             if len(rest.split()) > (0 if certain is None else 1) and parsed < MOST_PARSED:

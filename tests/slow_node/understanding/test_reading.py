@@ -105,6 +105,7 @@ WHO_ACTS = {
     "Ambulance behind us, let it through.": {"act": "yield", "object": "ambulance", "side": "right"},
     "Lass die Kinder erst rübergehen": {"act": "yield", "object": "child"},
     "He can go first, the bus.": {"act": "yield", "object": "bus"},
+    "Stop, there's somebody on the crossing!": {"act": "stop"},
     "brake!": {"act": "slower", "value": 0.5, "unit": "times", "mode": "factor"},
     "stop for the pedestrian": {"act": "stop", "object": "pedestrian"},
     "Halt für die Fußgänger an": {"act": "stop", "object": "pedestrian"},
