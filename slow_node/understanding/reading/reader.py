@@ -11,6 +11,7 @@ import msgspec
 from schemas.wire.program import MAX_STEPS, Program, Question, Step, Trigger
 from slow_node.understanding.intent_parser import IntentParser, Parsed
 from slow_node.understanding.reading.addressed import Addressed
+from slow_node.understanding.reading.amounts import amount
 from slow_node.understanding.reading.clauses import Clause, clauses, sentences
 from slow_node.understanding.reading.lexicon import ON_FOOT, VULNERABLE, Found, Row, bare, rows, searchable, side_said
 from slow_node.understanding.reading.questions import question_in
@@ -31,6 +32,9 @@ _CORRECTS = re.compile(
     r"plutot|pardon|mejor|perdon|anzi|scusa|alias|afinal|nee|toch|laat maar|oder|instead|hmm|oh dear|hold on|never mind)\b"
 )
 _DENIED = re.compile(r"\b(?:do ?n[o']?t|dont|not|never|nicht|nie|ne|pas|no|nunca|non|mai|nao|niet|nooit)\b[^,;]{0,20}$")
+_AS_IT_IS = re.compile(
+    r"^(?:keep|hold|leave|halt\w*|lass|garde|tiens|manten\w*|tieni|mantieni|hou)[ -](?:it|that|es|das|la|le|ca|lo|asi|cosi|dat|het)\b"
+)
 _OTHERS = re.compile(r"^(?:somebody|someone|some idiot|he|she|they|jemand|quelqu.un|alguien|qualcuno|alguem|iemand)\b")
 _HALT = re.compile(
     r"^(?:(?:stop|halt|stopp|anhalten|arrete|arrete-toi|para|parate|detente|alto|fermati|ferma|pare|stoppen)[ ,!]*)+$"
@@ -100,7 +104,7 @@ class ProgramReader:
         if len(found) > MOST_CLAUSES:
             return self._as_a_whole(command, text, whole, speed_mps)
         sure = [_sure(clause) for clause in found]
-        special = any(sure) or any(clause.when or clause.until for clause in found)
+        special = any(sure) or any(clause.when or clause.until or clause.beside for clause in found)
         if not special and not any(clause.then for clause in found):
             return self._as_a_whole(command, text, whole, speed_mps)
         if whole.slots.outcome == "directive" and _corrected(found, any(sure)):
@@ -167,6 +171,13 @@ class ProgramReader:
             mine = _not_said_before(mine, steps, begins)
             if not mine:
                 continue
+            if (
+                steps
+                and steps[-1].act in ("gap", "closer", "farther")
+                and mine[0].object == "speed"
+                and _AS_IT_IS.search(rest)
+            ):
+                mine = (Step(act="keep", object="gap"), *mine[1:])
             first = mine[0]
             mine = (msgspec.structs.replace(first, when=begins, until=clause.until), *mine[1:])
             steps += mine
@@ -244,7 +255,7 @@ def _about(steps: list[Step], text: str) -> list[Step]:
 
 def _corrected(found: list[Clause], sure: bool) -> bool:
     """Whether a later word takes back what was said before: then only the whole tells what is left."""
-    later = any(_CORRECTS.search(clause.text) for clause in found[1:])
+    later = any(_CORRECTS.search(clause.text) for clause in found[1:] if not clause.beside)
     return later or (not sure and _CORRECTS.search(found[0].text, 1) is not None)
 
 
@@ -282,6 +293,9 @@ def _sure(clause: Clause) -> _Sure | None:
             step = None if said is None else _follow_up(row, said)
             if step is not None:
                 return _Sure(step, "", True, _POLITE.sub("", _WAVERS.sub("", f"{rest} ")).strip())
+        changed = None if rest else amount(candidate)
+        if changed is not None:
+            return _Sure(changed, "", False, "")
         for row in (*rows("others", "says"), *rows("phrases", "says")):
             hit = row.search(candidate) if start == 0 or not row.fields.get("first") else None
             if hit is not None and not _DENIED.search(candidate[: hit.start]):

@@ -9,13 +9,13 @@ from schemas.wire.program import Mode, Step, Unit
 from slow_node.understanding.numbers import KMH, MPH, in_digits, quantities
 from slow_node.understanding.slots import Slots
 
-_AT_LEAST = re.compile(
-    r"\b(?:at least|(?:no|not|never) (?:less|slower|closer|nearer) than|minimum|or more|not below|never below|mindestens|wenigstens|nicht "
-    r"(?:weniger|langsamer|unter)|nie unter|unter \d+.{0,20} nicht|(?:not|\w*n.t|never)\b.{0,25} (?:under|below|less than|slower than)|au moins|pas moins|(?:al|por lo) menos|como minimo|no (?:menos|bajes) de|nunca menos|jamais moins|pas en dessous|almeno|come minimo|(?:non|mai) (?:meno|sotto)|pelo menos|"
-    r"no minimo|nao (?:menos|abaixo|descas)|nunca (?:menos|abaixo)|minstens|ten minste|minimaal|(?:niet|nooit) (?:minder|langzamer|onder))\b"
+AT_LEAST = re.compile(
+    r"\b(?:at least|nothing less|au minimum|(?:not|never|\w*n.t|nie|nicht|jamais|pas|nunca|no|mai|non|nooit|niet)\b.{0,30} (?:nearer|closer|naher|dichter|plus pres|mas cerca|piu vicin[oa]|mais perto|dichterbij)\b(?=.{0,25}\d)|(?:no|not|never) (?:less|slower|closer|nearer) than|minimum|or more|not below|never below|mindestens|wenigstens|nicht "
+    r"(?:weniger|langsamer|unter)|nie unter|unter \d+.{0,20} nicht|(?:not|\w*n.t|never)\b.{0,25} (?:under|below|less than|slower than)|au moins|pas moins|(?:al|por lo) menos|como minimo|no (?:menos|bajes) de|nunca (?:a )?menos|jamais (?:a )?moins|pas en dessous|almeno|come minimo|(?:non|mai) (?:a )?(?:meno|sotto)|pelo menos|"
+    r"no minimo|nao (?:menos|abaixo|descas)|nunca (?:a menos|menos|abaixo)|minstens|ten minste|minimaal|(?:niet|nooit) (?:minder|langzamer|onder))\b"
 )
-_AT_MOST = re.compile(
-    r"\b(?:at (?:the )?(?:very )?most|cap (?:it|us|the speed|our speed|things) at|anything up to|(?:limit|restrict)(?: it| us| the speed)? to|"
+AT_MOST = re.compile(
+    r"\b(?:at (?:the )?(?:very )?most|(?:not|\w*n.t|never)\b.{0,25} (?:exceed|top|pass|over|above|beyond|past) (?=\d)|massimo|maximo|(?:que )?no (?:pase|sea|vaya|suba|supere)s?\b.{0,8} (?:mas|de)|cap (?:it|us|the speed|our speed|things) at|anything up to|(?:limit|restrict)(?: it| us| the speed)? to|"
     r"(?:not|\w*n.t|never|no)\b.{0,25} (?:more|faster|quicker) than|begrenz\w*|limite[zr]? (?:la vitesse )?a|ne (?:depass\w+|roul\w+) (?:pas|jamais)(?: plus)?|"
     r"sin pasar|non superare|nao (?:ultrapass\w+|pass\w+) (?:d?os|d?e)|beperk|(?:no|not|never) (?:more|faster|quicker|farther|further) than|max(?:imum)?|(?:not|never|nothing|"
     r"don.?t go) (?:above|over|beyond|past)|(?:stay|keep|remain)(?: it)? (?:below|under)|no faster|tops|hochstens|maximal|nicht (?:mehr|schneller|uber)|"
@@ -34,7 +34,7 @@ _FACTOR = tuple(
     for factor, words in _FACTORS
 )  # fmt: skip
 _PERCENT = re.compile(
-    r"(\d+(?:[.,]\d+)?) ?(?:%|percent|per cent|prozent|pour ?cent|por ciento|per cento|por cento|procent)"
+    r"(\d+(?:[.,]\d+)?) ?(?:%|percent|per cent|prozent|pour ?cent|por ciento|per cento|por cento|p(?:er|or|our) 100|procent)"
 )
 _CARS = re.compile(
     r"(\d+|an?|another|eine?|une?|una?|uma?|een)(?: more| weitere| extra)? ?-?(?:@?car|@car)? ?-?(?:lengths?|wagenlangen?|autolangen?|@car\w*langen?|"
@@ -65,6 +65,26 @@ _SHARES = (
             r"\b(?:an?|one|ein|um ein|un|um|een) (?:quarter|viertel|quart|cuarto|quarto|kwart)\b(?! (?:of an|past|to))"
         ),
     ),
+    (
+        1 / 5,
+        re.compile(
+            r"\b(?:a|one|ein|um ein|un|um|een) (?:fifth|funftel|cinquieme|quinto|vijfde)\b(?! ?(?:@|lane|spur|baan))"
+        ),
+    ),
+    (
+        1 / 10,
+        re.compile(
+            r"\b(?:a|one|ein|um ein|un|um|een) (?:tenth|zehntel|dixieme|decimo|tiende)\b(?! ?(?:@|lane|spur|baan|of))"
+        ),
+    ),
+)
+SLOWER = re.compile(
+    r"\b(?:slow\w*|down|brake|reduce|lower|less speed|off (?:our|the) speed|langsam\w*|brems\w*|runter|moins (?:vite|rapide\w*)|lentement|ralenti\w*|rédui\w*|reduis|"
+    r"despacio|lento|baja\w*|reduce|frena\w*|piano|lentamente|rallenta\w*|devagar|abranda\w*|reduz\w*|langzam\w*|zachter|rem)\b"
+)
+FASTER = re.compile(
+    r"\b(?:fast\w*|quick\w*|speed up|up the speed|accelerate|schneller|zugiger|plus (?:vite|rapide\w*)|accelere\w*|mas (?:rapido|deprisa|velocidad)|sube\w*|acelera\w*|"
+    r"piu (?:veloce\w*|forte|in fretta|velocita)|in piu di velocita|accelera|mais (?:rapido|depressa|velocidade)|harder|sneller)\b"
 )
 _CLOSER = re.compile(
     rf"\b(?:{_LESS}|close up|close the gap|catch up|auffahren|rapproche\w*|acerca\w*|avvicina\w*|aproxima\w*)\b"
@@ -135,7 +155,7 @@ def corrected(slots: Slots, text: str) -> Slots:
     """Slots without a change that was taken for a size: "ten metres more room" is no gap of ten metres."""
     if slots.outcome != "directive":
         return slots
-    if slots.overtake is False and slots.target_speed_mps is not None and _AT_MOST.search(text):
+    if slots.overtake is False and slots.target_speed_mps is not None and AT_MOST.search(text):
         slots = slots.model_copy(update={"overtake": None})  # "ne depasse pas les 90" is of a speed
     if (_BY_METRES.search(text) and any(q.kind == "length" for q in quantities(text))) or _CARS.search(text):
         gap = "closer" if slots.gap == "closer" or _CLOSER.search(text) else "farther"
@@ -149,16 +169,31 @@ def _changes(text: str) -> bool:
     return _BY_METRES.search(text) is not None or re.search(rf"\b(?:{_MORE}|{_LESS}|another)\b", text) is not None
 
 
+_OF_TIME = re.compile(
+    r"\b(?:half|halbe[nr]?|demi|media|mezz|meia|quarter|quart|cuarto|quarto)(?:'? ?| of |-| d'| de )?(?:an |a |d')?(?:hour|stunde|heure|hora|ora|uur|mile|kilom\w+)\b|"
+    r"\bkwartier\b|\bviertelstunde\b"
+)
+_HOW_FAST_OR_FAR = re.compile(
+    r"fast|speed|pace|slow|quick|\bgap|distance|space|room|schnell|langsam|tempo|geschwind|abstand|vit|lent|allure|ecart|veloc|rapid|despac|distan|hueco|"
+    r"piano|forte|devagar|depressa|snel|hard|langzaam|afstand|dist|halbier|dimezz|halveer|doubl|verdoppel|duplic|raddopp|verdubbel|dobl|doppi|dobr|triple|dreifach"
+)
+"""What a half or a double of may be meant; half a coffee is none of it."""
+
+
 def _factor_said(text: str) -> float | None:
     """A multiple that is named, as a part of the whole: "half", "twice", "20 % less" (0.8)."""
-    share = _share_said(text)
+    text = _OF_TIME.sub("", text)
+    share = share_said(text)
     if share is not None:
         return share
+    if not _HOW_FAST_OR_FAR.search(text) and len(text.split()) > 3:
+        return None
     return next((factor for factor, pattern in _FACTOR if pattern.search(text)), None)
 
 
-def _share_said(text: str) -> float | None:
+def share_said(text: str) -> float | None:
     """A part of the whole that is to be added or taken away: "20 %", "a third"."""
+    text = _OF_TIME.sub("", text)
     percent = _PERCENT.search(text)
     if percent is not None:
         return float(percent[1].replace(",", ".")) / 100.0
@@ -166,7 +201,7 @@ def _share_said(text: str) -> float | None:
 
 
 def _bound(text: str) -> Mode:
-    return "at_least" if _AT_LEAST.search(text) else "at_most" if _AT_MOST.search(text) else "to"
+    return "at_least" if AT_LEAST.search(text) else "at_most" if AT_MOST.search(text) else "to"
 
 
 def _speed(slots: Slots, text: str, *, takes_factor: bool, now_mps: float | None = None) -> Step | None:
@@ -175,6 +210,10 @@ def _speed(slots: Slots, text: str, *, takes_factor: bool, now_mps: float | None
     if slots.speed == "keep" and slots.target_speed_mps is None:
         return Step(act="keep", object="speed")
     faster = slots.speed == "faster"
+    share = share_said(text) if takes_factor else None
+    by_share = None if share is None else _by_share(share, text, faster=faster)
+    if by_share is not None and slots.speed in ("faster", "slower"):
+        return by_share
     if slots.target_speed_mps is not None:
         value = round(slots.target_speed_mps, 3)
         if slots.speed in ("none", "keep"):
@@ -184,8 +223,10 @@ def _speed(slots: Slots, text: str, *, takes_factor: bool, now_mps: float | None
                 else ""
             )
             return Step(act="drive", object=of_limit, value=value, unit="mps", mode=_bound(text))
-        if faster and _AT_MOST.search(text):
+        if faster and AT_MOST.search(text):
             return Step(act="drive", value=value, unit="mps", mode="at_most")
+        if not faster and now_mps is not None and value > now_mps + 1.0 and not SLOWER.search(text):
+            return Step(act="drive", value=value, unit="mps", mode=_bound(text))
         change = _change(text) or _difference(slots, text, now_mps)
         if change is not None:
             return Step(act="faster" if faster else "slower", value=round(change, 3), unit="mps", mode="by")
@@ -194,7 +235,7 @@ def _speed(slots: Slots, text: str, *, takes_factor: bool, now_mps: float | None
         return None
     factor = _factor_said(text) if takes_factor else None
     if factor is not None:
-        percent = _share_said(text) is not None
+        percent = share_said(text) is not None
         times = (1.0 + factor if faster else 1.0 - factor) if percent else factor
         if not faster and times > 1.0:
             times = 1.0 / times
@@ -202,6 +243,18 @@ def _speed(slots: Slots, text: str, *, takes_factor: bool, now_mps: float | None
     if faster and _A_BIT.search(text):
         return Step(act="faster", value=round(A_BIT_MPS, 3), unit="mps", mode="by")
     return Step(act="faster" if faster else "slower")
+
+
+def _by_share(share: float, text: str, *, faster: bool) -> Step | None:
+    """A part of the speed more or less; which of them the words say, if they do."""
+    if bool(SLOWER.search(text)) != bool(FASTER.search(text)):
+        faster = bool(FASTER.search(text))
+    times = 1.0 + share if faster else 1.0 - share
+    return (
+        Step(act="faster" if faster else "slower", value=round(times, 3), unit="times", mode="factor")
+        if times > 0
+        else None
+    )
 
 
 def _difference(slots: Slots, text: str, now_mps: float | None) -> float | None:
@@ -261,14 +314,14 @@ def _gap(slots: Slots, text: str) -> tuple[Step | None, bool]:
             return _amount(
                 "closer" if slots.gap == "closer" or _CLOSER.search(text) else "farther", metres, "m", "by"
             ), False
-        if act is not None:
+        if act is not None and _bound(text) != "at_least":
             return _amount(act, metres, "m", "to"), False
         return Step(act="gap", value=metres, unit="m", mode=_bound(text)), False
     if slots.headway_s is not None:
         seconds = round(slots.headway_s, 3)
         if _BY_SECONDS.search(text):
             return _amount(act or ("closer" if _CLOSER.search(text) else "farther"), seconds, "s", "by"), False
-        if act is not None:
+        if act is not None and _bound(text) != "at_least":
             return _amount(act, seconds, "s", "to"), False
         return Step(act="gap", value=seconds, unit="s", mode=_bound(text)), False
     if slots.gap == "keep":
@@ -278,7 +331,7 @@ def _gap(slots: Slots, text: str) -> tuple[Step | None, bool]:
     factor = _factor_said(text)
     if factor is None or (slots.speed in ("faster", "slower") and slots.gap == "none"):
         return Step(act="closer" if act == "closer" else "farther"), False
-    if _share_said(text) is not None:
+    if share_said(text) is not None:
         factor = 1.0 + factor if act == "farther" else max(1.0 - factor, 0.0)
     return _amount(act, round(factor, 3), "times", "factor"), True
 

@@ -178,6 +178,44 @@ IN_WORDS = {
 }
 
 
+IN_WORDS |= {
+    "An extra second of distance, please": [{"act": "farther", "value": 1.0, "unit": "s", "mode": "by"}],
+    "Venti metri in più da quello davanti": [{"act": "farther", "value": 20.0, "unit": "m", "mode": "by"}],
+    "Ten car lengths, nothing less": [{"act": "gap", "value": 50.0, "unit": "m", "mode": "at_least"}],
+    "Fahr ein Drittel langsamer": [{"act": "slower", "value": 0.667, "unit": "times", "mode": "factor"}],
+    "Baja la velocidad un veinte por ciento": [{"act": "slower", "value": 0.8, "unit": "times", "mode": "factor"}],
+    "Mindestens achtzig, aber nicht mehr als hundert": [
+        {"act": "drive", "value": 22.222, "unit": "mps", "mode": "at_least"},
+        {"act": "drive", "value": 27.778, "unit": "mps", "mode": "at_most"},
+    ],
+    "When you see a hole in the right lane, slip into it": [{**RIGHT, "when": {"kind": "free", "side": "right"}}],
+    "Quando não vier ninguém de frente, ultrapassa": [{"act": "overtake", "when": {"kind": "clear"}}],
+    "Get by this one and after that tuck back in on the right": [{"act": "overtake"}, {**RIGHT, "when": DONE}],
+    "When we hit a hundred, hold it there": [
+        {"act": "keep", "object": "speed", "when": {"kind": "speed", "value": pytest.approx(27.778, abs=0.01)}}
+    ],
+    "Dans un kilomètre et demi, à droite": [{**RIGHT, "when": {"kind": "distance", "value": 1500.0}}],
+}
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "My shift starts in ten minutes",
+        "omg my flight boards in 25 min",
+        "Kick-off's in half an hour and I've still got to find my seat!",
+        "El partido empieza en diez minutos",
+        "Il negozio chiude tra dieci minuti",
+        "In zwanzig Minuten fängt die Prüfung an",
+        "Half my espresso is now on the contract",
+        "We have been behind this tractor for five minutes",
+    ],
+)
+def test_a_time_or_a_part_that_is_only_told_is_no_condition_and_no_factor(reader: ProgramReader, command: str) -> None:
+    told = read(reader, command).steps
+    assert [step for step in told if step.when or step.until or step.mode == "factor"] == []
+
+
 @pytest.mark.parametrize("command", IN_WORDS)
 def test_amounts_in_words_and_order_in_any_order_are_read(reader: ProgramReader, command: str) -> None:
     assert steps(reader, command) == IN_WORDS[command]
