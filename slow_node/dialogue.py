@@ -190,6 +190,6 @@ def _as_before(last: Said) -> tuple[Step, ...]:
 
 def smaller(steps: tuple[Step, ...]) -> tuple[Step, ...]:
     """The first step by a bit, where it is a change without a number; as they are where it is none."""
-    if not steps or steps[0].act not in _OPPOSITE or steps[0].value is not None:
+    if not steps or steps[0].act not in _OPPOSITE or steps[0].value is not None or steps[0].object == "bit":
         return steps
     return (_sized(steps[0], 0.5), *steps[1:])

@@ -47,7 +47,7 @@ class Step(Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown
 
     act: Act
     object: Word = ""
-    """Whom or what it is about: "truck", "cyclist", "limit", ..."""
+    """Whom or what it is about: "truck", "cyclist", "limit", ...; of "faster" also "bit": without a number."""
     side: Side | None = None
     count: Annotated[int, Meta(ge=1, le=8)] | None = None
     """So many lanes to `side`; without a side the lane of this number, from the left, the first being 1."""

@@ -7,6 +7,7 @@ from msgspec.structs import replace
 from schemas.wire.program import Program, Step, Trigger
 from slow_node.planning.directive import MAX_HEADWAY_S, MIN_HEADWAY_S, may_take
 from slow_node.planning.scene import Scene
+from slow_node.understanding.reading.values import A_BIT_MPS
 from slow_node.understanding.slots import LaneSlot, Slots
 
 USUAL_HEADWAY_S = 1.5
@@ -75,14 +76,16 @@ def _speed(step: Step, scene: Scene) -> dict[str, object]:
     if step.object == "limit" and step.value is None:
         within = min(scene.speed_mps, scene.limit_mps) if step.mode == "at_most" else scene.limit_mps
         return {"target_speed_mps": within}
-    if step.value is None:
+    value, now, mode = step.value, scene.speed_mps, step.mode
+    if step.object == "bit" and value is None:
+        value, mode = A_BIT_MPS, "by"
+    if value is None:
         return asked
-    value, now = step.value, scene.speed_mps
-    if step.mode == "by":
+    if mode == "by":
         value = max(now + (value if step.act == "faster" else -value), 0.0)
-    elif step.mode == "factor":
+    elif mode == "factor":
         value = now * value
-    elif step.mode == "at_least":
+    elif mode == "at_least":
         value = max(value, min(now, scene.limit_mps))
     if value <= 0.0:
         return {"speed": "stop"}

@@ -20,6 +20,12 @@ FOR_US, PERHAPS = 0.5, 0.1
 DANGEROUS, REFUSED = 0.85, HEADS["outcome"].index("refused")
 MOST_SENTENCES = 12
 """A longer text is read as a whole."""
+STRONG, WEAK, TALK, MANY_WORDS = 0.4, 0.3, 0.35, 9
+"""How sure it is that a part asks for something, where it does and where it does not; of so many words on a sentence may
+hold talk between its commas."""
+CANCELS = 0.5
+"""Talk is taken for the wish to forget all more often than it is one."""
+_COMMAS = re.compile(r"\s*[,:]\s+")
 
 _TO_OTHERS = re.compile(
     r"\b(?:not you|(?:talk|speak)ing to (?:the|my) (?:@?car|driver)|(?:tell(?:ing)?|said (?:that|it) to) the @?car\b(?! to)|(?:was|is|were) (?:for|not for|n.t for) "
@@ -61,6 +67,12 @@ _OF_DRIVING = re.compile(
     r"snelheid|inhal\w*|rij\w*|cartell?o|schild|panneau|senal|sinal|bord|going|braking|coming)\b"
 )
 """Questions and exclamations of people at leisure, and the words that make them of the drive."""
+_CALLED = re.compile(
+    r",\s*(?:son|love|pet|dear|darling|mate|lad|pal|sweetheart|honey|will (?:you|ye)|would you|please|bitte|schatz|mon (?:ami|cher)|tesoro|"
+    r"cari[\u00f1n]o|hijo|t[i\u00ed]o|amor|schat|joh|p\u00e1|filho)[.!?]*$",
+    re.IGNORECASE,
+)
+"""At the end of a wish, said to the car as to a person."""
 _NAME = re.compile(r",\s*[A-Z\u00c0-\u00dd]\w+[.!?]*$")
 """What is said to somebody else about the car, and what fills a telephone call."""
 
@@ -81,16 +93,19 @@ class Addressed:
         """How likely a sentence is for the car. What is likely to be a danger is never talk."""
         if self._weight is None:
             return 1.0
-        features = self._parser.features(sentence)
+        features = self._parser.features(_CALLED.sub("", sentence))
         if self._parser.heads(*features)["outcome"][REFUSED] >= DANGEROUS:
             return 1.0
         logit = float(np.concatenate(features) @ self._weight) + self._bias
         return float(1.0 / (1.0 + np.exp(-np.clip(logit, -30.0, 30.0))))
 
-    def kept(self, parts: list[str], known: Callable[[str], bool]) -> list[str]:
+    def kept(
+        self, parts: list[str], known: Callable[[str], bool], certain: Callable[[str], bool] | None = None
+    ) -> list[str]:
         """The sentences of several that are for the car, in order; none where all are talk.
 
         known: whether a sentence is for the car by its words alone.
+        certain: whether it is so by itself, not as an answer to what was said before; None: as `known`.
         """
         parts = [part for part in parts if not at_leisure(part)]
         if self._weight is None or not 2 <= len(parts) <= MOST_SENTENCES:
@@ -98,9 +113,41 @@ class Addressed:
         likely = [0.0 if _talk(part) else 1.0 if known(part) else self.probability(part) for part in parts]
         best = max(likely)
         found = [number for number, p in enumerate(likely) if p >= FOR_US]
+        if len(found) > 1:
+            asks = [1.0 if (certain or known)(parts[n]) else likely[n] * self._asks(parts[n]) for n in found]
+            if max(asks) >= STRONG:
+                found = [number for number, sure in zip(found, asks, strict=True) if sure >= WEAK]
         if found:
             return parts[found[0] : found[-1] + 1]  # what is said between two of them belongs to them
         return [] if best < PERHAPS else [parts[likely.index(best)]]
+
+    def narrowed(self, text: str, known: Callable[[str], bool], harmful: bool) -> str:
+        """The parts between commas that are for the car, where talk stands around them; else the whole text.
+
+        harmful: the whole may be a danger: then talk must stand before and after them.
+        """
+        parts = [part for part in _COMMAS.split(text) if re.search(r"\w", part)]
+        if self._weight is None or not 2 <= len(parts) <= MOST_SENTENCES or len(text.split()) < MANY_WORDS:
+            return text
+        likely = [0.0 if _talk(part) else 1.0 if known(part) else self.probability(part) for part in parts]
+        asks = [
+            0.0 if p < FOR_US or len(part.split()) < 2 else 1.0 if known(part) else p * self._asks(part)
+            for part, p in zip(parts, likely, strict=True)
+        ]
+        found = [number for number, sure in enumerate(asks) if sure >= STRONG]
+        talks = any(p < TALK and len(part.split()) > 1 for part, p in zip(parts, likely, strict=True))
+        if not found or not talks or (harmful and (found[0] == 0 or found[-1] == len(parts) - 1)):
+            return text
+        return ", ".join(parts[found[0] : found[-1] + 1])
+
+    def _asks(self, part: str) -> float:
+        """How sure it is that a part asks for something, or is a danger."""
+        parsed = self._parser.parse(part, 25.0, 33.0)
+        if parsed.refused >= DANGEROUS:
+            return 1.0
+        if parsed.slots.outcome != "directive":
+            return 0.0
+        return parsed.confidence * (CANCELS if parsed.slots.cancel else 1.0)
 
 
 def at_leisure(sentence: str) -> bool:

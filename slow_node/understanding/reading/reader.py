@@ -15,6 +15,7 @@ from slow_node.understanding.reading.amounts import amount
 from slow_node.understanding.reading.clauses import Clause, clauses, sentences
 from slow_node.understanding.reading.lexicon import ON_FOOT, VULNERABLE, Found, Row, bare, rows, searchable, side_said
 from slow_node.understanding.reading.questions import question_in
+from slow_node.understanding.reading.signs import sign
 from slow_node.understanding.reading.standing import standing
 from slow_node.understanding.reading.values import corrected, steps_of, unbound, uses_miles
 from slow_node.understanding.slots import Slots
@@ -27,6 +28,10 @@ HARMLESS = 0.4
 """A clause below this probability of being dangerous is none."""
 LIKELY = 0.4
 """What stands beside something sure must be as likely as this."""
+SURE_AS_A_WHOLE, SURE_OF_NONE = 0.75, 0.9
+"""From here on the intent parser knows what is asked for; that nothing is."""
+SIGN = 0.7
+"""How likely it is that a sign is read as it was meant."""
 _CORRECTS = re.compile(
     r"\b(?:no|nope|wait a|actually|rather|sorry|scratch|false alarm|i mean|i meant|forget|nein|doch nicht|quatsch|moment|non|en fait|"
     r"plutot|pardon|mejor|perdon|anzi|scusa|alias|afinal|nee|toch|laat maar|oder|instead|hmm|oh dear|hold on|never mind)\b"
@@ -90,15 +95,23 @@ class ProgramReader:
         clauses("brake, then after that truck go left in ten seconds")  # compiles the expressions before anybody speaks
         _sure(Clause("brake"))
         standing("brake")
+        sign("brake")
 
     def read(self, command: str, speed_mps: float, limit_mps: float) -> Reading:
         """A command's program, with numbers resolved against the ego's speed and the limit, both in m/s."""
         parts = sentences(unbound(command))
-        kept = self._addressed.kept(parts, _known)
+        kept = self._addressed.kept(parts, _known, _known_or_timed)
         text = unbound(command) if len(kept) == len(parts) else " ".join(kept)
         if not text:
             return self._talk(command)
         whole = self._parser.parse(text, speed_mps, limit_mps)
+        if whole.slots.outcome != "directive" or whole.confidence < SURE_AS_A_WHOLE:
+            part = self._addressed.narrowed(text, _known_or_timed, whole.refused >= HARMLESS)
+            if part != text:
+                text, whole = part, self._parser.parse(part, speed_mps, limit_mps)
+        sign = self._sign(text, whole, speed_mps, limit_mps)
+        if sign is not None:
+            return sign
         found = [clause for sentence in sentences(text) for clause in clauses(sentence)]
         found = [clause for clause in found if not _SAYS_NO.match(clause.text)] or found
         if len(found) > MOST_CLAUSES:
@@ -110,6 +123,32 @@ class ProgramReader:
         if whole.slots.outcome == "directive" and _corrected(found, any(sure)):
             return self._as_a_whole(command, text, whole, speed_mps)
         return self._clause_by_clause(command, text, whole, found, sure, speed_mps, limit_mps)
+
+    def _sign(self, text: str, whole: Parsed, speed_mps: float, limit_mps: float) -> Reading | None:
+        """What a sentence asks for that only tells how somebody fares, where the intent parser does not know better."""
+        plain = searchable(text)
+        found = sign(plain)
+        if found is None or _known(text):
+            return None
+        step, rest = found
+        slots = corrected(whole.slots, plain)
+        steps = steps_of(slots, plain, speed_mps)
+        numbered = any(one.value is not None for one in steps) or any(
+            clause.when or clause.until for sentence in sentences(text) for clause in clauses(sentence)
+        )
+        if slots.outcome == "directive" and whole.confidence >= SURE_AS_A_WHOLE and not numbered:
+            return None
+        if slots.outcome != "directive" and whole.confidence >= SURE_OF_NONE and slots.outcome != "refused":
+            return None
+        if len(rest.split()) > 1:
+            beside = self._parser.parse(rest, speed_mps, limit_mps)
+            wishes = {one.act for one in steps_of(beside.slots, rest, speed_mps)}
+            if beside.refused >= HARMLESS or (beside.confidence >= SURE_AS_A_WHOLE and wishes - {step.act}):
+                return None
+        if step.act == "farther" and whole.refused >= HARMLESS:
+            return None  # to be too close may be what is asked for
+        language = whole.slots.language
+        return Reading(Program(outcome="directive", steps=(step,)), None, language, SIGN, 0.0)
 
     def _talk(self, command: str) -> Reading:
         """Nothing of it is for the car."""
@@ -257,6 +296,12 @@ def _corrected(found: list[Clause], sure: bool) -> bool:
     """Whether a later word takes back what was said before: then only the whole tells what is left."""
     later = any(_CORRECTS.search(clause.text) for clause in found[1:] if not clause.beside)
     return later or (not sure and _CORRECTS.search(found[0].text, 1) is not None)
+
+
+def _known_or_timed(sentence: str) -> bool:
+    """Whether a sentence says something that is sure by its words, or what is waited for."""
+    found = [(_sure(clause), clause) for clause in clauses(sentence)]
+    return any((sure is not None and not sure.follows) or clause.when or clause.until for sure, clause in found)
 
 
 def _known(sentence: str) -> bool:

@@ -18,7 +18,7 @@ AT_MOST = re.compile(
     r"\b(?:at (?:the )?(?:very )?most|(?:not|\w*n.t|never)\b.{0,25} (?:exceed|top|pass|over|above|beyond|past) (?=\d)|massimo|maximo|(?:que )?no (?:pase|sea|vaya|suba|supere)s?\b.{0,8} (?:mas|de)|cap (?:it|us|the speed|our speed|things) at|anything up to|(?:limit|restrict)(?: it| us| the speed)? to|"
     r"(?:not|\w*n.t|never|no)\b.{0,25} (?:more|faster|quicker) than|begrenz\w*|limite[zr]? (?:la vitesse )?a|ne (?:depass\w+|roul\w+) (?:pas|jamais)(?: plus)?|"
     r"sin pasar|non superare|nao (?:ultrapass\w+|pass\w+) (?:d?os|d?e)|beperk|(?:no|not|never) (?:more|faster|quicker|farther|further) than|max(?:imum)?|(?:not|never|nothing|"
-    r"don.?t go) (?:above|over|beyond|past)|(?:stay|keep|remain)(?: it)? (?:below|under)|no faster|tops|hochstens|maximal|nicht (?:mehr|schneller|uber)|"
+    r"(?:not|never|don.?t) go) (?:above|over|beyond|past)|(?:not|never|n.t) exceed|(?:stay|keep|remain)(?: it)? (?:below|under)|no faster|tops|hochstens|maximal|nicht (?:mehr|schneller|uber)|"
     r"nie (?:uber|mehr|schneller)|au (?:maximum|plus)|pas plus|jamais plus|como (?:mucho|maximo)|a lo sumo|no (?:mas|pases) de|nunca mas|"
     r"al massimo|non (?:piu|oltre|superare)|mai (?:piu|oltre)|no maximo|nao (?:mais|passes)|nunca mais|hooguit|hoogstens|"
     r"maximaal|niet (?:meer|harder|sneller|boven)|nooit (?:meer|harder|boven))\b"
@@ -241,7 +241,7 @@ def _speed(slots: Slots, text: str, *, takes_factor: bool, now_mps: float | None
             times = 1.0 / times
         return Step(act="faster" if faster else "slower", value=round(times, 3), unit="times", mode="factor")
     if faster and _A_BIT.search(text):
-        return Step(act="faster", value=round(A_BIT_MPS, 3), unit="mps", mode="by")
+        return Step(act="faster", object="bit")
     return Step(act="faster" if faster else "slower")
 
 
@@ -314,15 +314,11 @@ def _gap(slots: Slots, text: str) -> tuple[Step | None, bool]:
             return _amount(
                 "closer" if slots.gap == "closer" or _CLOSER.search(text) else "farther", metres, "m", "by"
             ), False
-        if act is not None and _bound(text) != "at_least":
-            return _amount(act, metres, "m", "to"), False
         return Step(act="gap", value=metres, unit="m", mode=_bound(text)), False
     if slots.headway_s is not None:
         seconds = round(slots.headway_s, 3)
         if _BY_SECONDS.search(text):
             return _amount(act or ("closer" if _CLOSER.search(text) else "farther"), seconds, "s", "by"), False
-        if act is not None and _bound(text) != "at_least":
-            return _amount(act, seconds, "s", "to"), False
         return Step(act="gap", value=seconds, unit="s", mode=_bound(text)), False
     if slots.gap == "keep":
         return Step(act="keep", object="gap"), False

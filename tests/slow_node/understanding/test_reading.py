@@ -20,6 +20,7 @@ GROUPS = (
     ("questions", "follows"),
     ("topics", "topics"),
     ("triggers", "waits"),
+    ("signs", "signs"),
 )
 ROWS = [(group, row) for name, group in GROUPS for row in rows(name, group)]
 
@@ -35,7 +36,7 @@ def named(value: object) -> str:
 @pytest.mark.parametrize(("group", "row"), ROWS, ids=named)
 def test_an_expression_matches_its_commands_in_every_language_and_not_those_beside_them(group: str, row: Row) -> None:
     def hits(command: str) -> bool:
-        text = searchable(command) if group == "waits" else bare(searchable(command))
+        text = searchable(command) if group in ("waits", "signs") else bare(searchable(command))
         if group == "follows":
             return any(pattern.fullmatch(text) for pattern in row.patterns)
         return row.search(text) is not None
@@ -170,7 +171,7 @@ IN_WORDS = {
     "Überhol den Wagen und ordne dich danach wieder rechts ein": [{"act": "overtake"}, {**RIGHT, "when": DONE}],
     "Knock off twenty": [{"act": "slower", "value": 5.556, "unit": "mps", "mode": "by"}],
     "Go a third faster": [{"act": "faster", "value": 1.333, "unit": "times", "mode": "factor"}],
-    "a bit faster": [{"act": "faster", "value": 2.778, "unit": "mps", "mode": "by"}],
+    "a bit faster": [{"act": "faster", "object": "bit"}],
     "Cap it at 100": [{"act": "drive", "value": 27.778, "unit": "mps", "mode": "at_most"}],
     "Don't let it drop under 80": [{"act": "drive", "value": 22.222, "unit": "mps", "mode": "at_least"}],
     "Vacate the left lane, somebody's in a hurry back there": [RIGHT],
@@ -327,3 +328,36 @@ def test_a_program_is_validated_by_its_schema_and_comes_back_as_it_went() -> Non
 )
 def test_an_address_and_small_talk_are_no_speed(reader: ProgramReader, command: str) -> None:
     assert read(reader, command) == Program(outcome="out_of_scope")
+
+
+SIGNS = {
+    "In zwanzig Minuten geht mein Zug!": {"act": "faster"},
+    "O voo sai daqui a quarenta minutos!": {"act": "faster"},
+    "Jetzt hab ich den ganzen Kaffee auf der Hose.": {"act": "smoother"},
+    "Wir hängen dem ja fast im Kofferraum.": {"act": "farther"},
+    "This milk float is going to hold us up all day.": {"act": "overtake"},
+}
+
+
+@pytest.mark.parametrize("command", SIGNS)
+def test_who_tells_how_he_fares_gets_what_helps(reader: ProgramReader, command: str) -> None:
+    assert steps(reader, command) == [SIGNS[command]]
+
+
+BESIDE_TALK = {
+    "Und der Trainer brüllt bloß, überhol den mal bitte, und keiner läuft.": {"act": "overtake"},
+    "Sim, mãe, já jantei, vai para a faixa da direita, não, mãe, foi sopa.": RIGHT,
+}
+
+
+@pytest.mark.parametrize("command", BESIDE_TALK)
+def test_a_wish_between_the_commas_of_talk_is_found(reader: ProgramReader, command: str) -> None:
+    assert steps(reader, command) == [BESIDE_TALK[command]]
+
+
+def test_a_wish_to_be_too_close_is_no_sign_of_it(reader: ProgramReader) -> None:
+    assert read(reader, "Colle-le à deux mètres, il finira bien par se pousser.").outcome != "directive"
+
+
+def test_a_sign_beside_another_wish_leaves_the_wish_alone(reader: ProgramReader) -> None:
+    assert steps(reader, "I feel sick, stop the car")[-1] == {"act": "stop"}
