@@ -15,7 +15,7 @@ from slow_node.understanding.reading.amounts import amount
 from slow_node.understanding.reading.clauses import Clause, clauses, sentences
 from slow_node.understanding.reading.lexicon import ON_FOOT, VULNERABLE, Found, Row, bare, rows, searchable, side_said
 from slow_node.understanding.reading.questions import question_in
-from slow_node.understanding.reading.signs import sign
+from slow_node.understanding.reading.signs import HARMLESS, LIKELY, SIGN, SURE_AS_A_WHOLE, sign, told_by_sign
 from slow_node.understanding.reading.standing import standing
 from slow_node.understanding.reading.values import corrected, steps_of, unbound, uses_miles
 from slow_node.understanding.slots import Slots
@@ -24,14 +24,6 @@ MOST_CLAUSES = 8
 """A longer command is read as a whole."""
 MOST_PARSED = 4
 """So many clauses are parsed one by one: each takes the intent parser ten milliseconds."""
-HARMLESS = 0.4
-"""A clause below this probability of being dangerous is none."""
-LIKELY = 0.4
-"""What stands beside something sure must be as likely as this."""
-SURE_AS_A_WHOLE, SURE_OF_NONE = 0.75, 0.9
-"""From here on the intent parser knows what is asked for; that nothing is."""
-SIGN = 0.7
-"""How likely it is that a sign is read as it was meant."""
 _CORRECTS = re.compile(
     r"\b(?:no|nope|wait a|actually|rather|sorry|scratch|false alarm|i mean|i meant|forget|nein|doch nicht|quatsch|moment|non|en fait|"
     r"plutot|pardon|mejor|perdon|anzi|scusa|alias|afinal|nee|toch|laat maar|oder|instead|hmm|oh dear|hold on|never mind)\b"
@@ -109,9 +101,10 @@ class ProgramReader:
             part = self._addressed.narrowed(text, _known_or_timed, whole.refused >= HARMLESS)
             if part != text:
                 text, whole = part, self._parser.parse(part, speed_mps, limit_mps)
-        sign = self._sign(text, whole, speed_mps, limit_mps)
-        if sign is not None:
-            return sign
+        told = None if _known(text) else told_by_sign(text, whole, self._parser, speed_mps, limit_mps)
+        if told is not None:
+            program = Program(outcome="directive", steps=(told,))
+            return Reading(program, None, whole.slots.language, SIGN, 0.0)
         found = [clause for sentence in sentences(text) for clause in clauses(sentence)]
         found = [clause for clause in found if not _SAYS_NO.match(clause.text)] or found
         if len(found) > MOST_CLAUSES:
@@ -123,32 +116,6 @@ class ProgramReader:
         if whole.slots.outcome == "directive" and _corrected(found, any(sure)):
             return self._as_a_whole(command, text, whole, speed_mps)
         return self._clause_by_clause(command, text, whole, found, sure, speed_mps, limit_mps)
-
-    def _sign(self, text: str, whole: Parsed, speed_mps: float, limit_mps: float) -> Reading | None:
-        """What a sentence asks for that only tells how somebody fares, where the intent parser does not know better."""
-        plain = searchable(text)
-        found = sign(plain)
-        if found is None or _known(text):
-            return None
-        step, rest = found
-        slots = corrected(whole.slots, plain)
-        steps = steps_of(slots, plain, speed_mps)
-        numbered = any(one.value is not None for one in steps) or any(
-            clause.when or clause.until for sentence in sentences(text) for clause in clauses(sentence)
-        )
-        if slots.outcome == "directive" and whole.confidence >= SURE_AS_A_WHOLE and not numbered:
-            return None
-        if slots.outcome != "directive" and whole.confidence >= SURE_OF_NONE and slots.outcome != "refused":
-            return None
-        if len(rest.split()) > 1:
-            beside = self._parser.parse(rest, speed_mps, limit_mps)
-            wishes = {one.act for one in steps_of(beside.slots, rest, speed_mps)}
-            if beside.refused >= HARMLESS or (beside.confidence >= SURE_AS_A_WHOLE and wishes - {step.act}):
-                return None
-        if step.act == "farther" and whole.refused >= HARMLESS:
-            return None  # to be too close may be what is asked for
-        language = whole.slots.language
-        return Reading(Program(outcome="directive", steps=(step,)), None, language, SIGN, 0.0)
 
     def _talk(self, command: str) -> Reading:
         """Nothing of it is for the car."""
