@@ -250,8 +250,8 @@ def interpret(
         typer.Option(
             "--set",
             metavar="NAME|FILE",
-            help="To score: dev, programs, dialogues, a file like these (FILE.jsonl); or an exam, which is not for "
-            "choosing by: blind, strangers, strangers-dialogues.",
+            help="To score: dev, programs, dialogues, strangers, strangers-dialogues, a file like these (FILE.jsonl); "
+            "or an exam, which is not for choosing by: blind, strangers-2, strangers-2-dialogues.",
         ),
     ] = "dev",
     experiment: Annotated[

@@ -19,20 +19,19 @@ from schemas.runtime.process import ConfigError
 from schemas.wire.messages import Directive, Reply
 from schemas.wire.program import Outcome, Question, Step
 from slow_node.evaluation.score import LineError, read_lines, wilson95
+from slow_node.planning.directive import NOT_DRIVEN_WHY
 from slow_node.planning.scene import Scene
 from slow_node.planning.steps import headway_now_s
 
 PROGRAMS_SET: Final = Path(__file__).with_name("programs.jsonl")
-DIALOGUES_SET: Final = PROGRAMS_SET.with_name("dialogues.jsonl")
-STRANGERS_SET: Final = PROGRAMS_SET.with_name("strangers.jsonl")
-STRANGERS_DIALOGUES_SET: Final = PROGRAMS_SET.with_name("strangers-dialogues.jsonl")
 EXAMS: Final = {
-    "programs": PROGRAMS_SET,
-    "dialogues": DIALOGUES_SET,
-    "strangers": STRANGERS_SET,
-    "strangers-dialogues": STRANGERS_DIALOGUES_SET,
-}
-"""By name. The strangers' were written by people who had read one page on what the car can do, and nothing else."""
+    name: PROGRAMS_SET.with_name(f"{name}.jsonl")
+    for name in (
+        "programs", "dialogues", "strangers", "strangers-dialogues", "strangers-2", "strangers-2-dialogues"
+    )
+}  # fmt: skip
+"""By name. The strangers' were written by people who had read one page on what the car can do, and nothing else; their
+second has not been read by anybody who works on this."""
 NEAR: Final = 0.03
 """A value may be off by this share of the label."""
 SPEED_MPS, HEADWAY_S, CHANGED_S = 0.35, 0.15, 0.05
@@ -147,7 +146,7 @@ def met(expected: Line, scene: Scene, directive: Directive | None, replies: Sequ
     if what == "waits":
         return directive is None and any(reply.waits_for for reply in replies)
     if what == "outcome":
-        return directive is None and (value == "none" or any(reply.outcome == value for reply in replies))
+        return directive is None and (value == "none" or any(_came_to(reply, value) for reply in replies))
     if directive is None:
         return False
     match what:
@@ -164,6 +163,13 @@ def met(expected: Line, scene: Scene, directive: Directive | None, replies: Sequ
             return (directive.manoeuvre == "overtake") is value
         case _:
             return directive.manoeuvre == "cruise" and directive.target_lane is directive.target_speed_mps is None
+
+
+def _came_to(reply: Reply, outcome: str) -> bool:
+    """Whether a reply says this outcome: all that is not driven is `refused` on the bus, and says why."""
+    others = [why for name, why in NOT_DRIVEN_WHY.items() if name not in ("refused", outcome)]
+    known = outcome == "refused" or reply.why.startswith(NOT_DRIVEN_WHY[outcome])
+    return reply.outcome == "refused" and known and not reply.why.startswith(tuple(others))
 
 
 def _moved(target: float | None, now: float, value: float | str, near: float, least: float) -> bool:

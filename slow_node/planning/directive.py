@@ -74,6 +74,8 @@ def parse_answer(text: str, numbers: Mapping[str, float] | None = None) -> Slots
 
 
 UNSAFE_WHY = "unsafe command"
+NOT_DRIVEN_WHY = {"refused": UNSAFE_WHY, "out_of_scope": "not about driving", "unclear": "unclear command"}
+"""How the reason begins why there is no directive for an outcome."""
 
 
 def cross_check(slots: Slots, nearest: Sequence[Example]) -> tuple[Slots, str]:
@@ -92,10 +94,8 @@ def cross_check(slots: Slots, nearest: Sequence[Example]) -> tuple[Slots, str]:
 def directive_of(slots: Slots, scene: Scene) -> Directive | Refusal:
     """The directive for a passenger's slots on this road, or why there is none: the gate against the scene."""
     if slots.outcome != "directive":
-        why = {"refused": UNSAFE_WHY, "out_of_scope": "not about driving", "unclear": "unclear command"}[slots.outcome]
-        return _refusal(
-            f"{why}: {slots.reasoning}".rstrip(": "), slots, _SAY_OF[slots.outcome], slots.outcome, slots.say
-        )
+        why = f"{NOT_DRIVEN_WHY[slots.outcome]}: {slots.reasoning}".rstrip(": ")
+        return _refusal(why, slots, _SAY_OF[slots.outcome], slots.outcome, slots.say)
     home, kept = scene.home_lane, scene.kept_lane
     back = home if scene.borrowing else None
     if slots.cancel:

@@ -10,6 +10,7 @@ import msgspec
 import pytest
 
 from schemas.runtime.process import ConfigError
+from schemas.wire.messages import Reply
 from schemas.wire.program import Program
 from slow_node.evaluation.programs import EXAMS, exam_lines, met, right
 from slow_node.evaluation.score import plain_text
@@ -17,7 +18,7 @@ from slow_node.planning.directive import directive_of
 from slow_node.understanding.slots import Slots
 from tests.ride import scene
 
-LABELS = [label for name in ("programs", "strangers") for label in exam_lines(EXAMS[name])]
+LABELS = [label for name in ("programs", "strangers", "strangers-2") for label in exam_lines(EXAMS[name])]
 
 
 def test_every_label_is_a_program_that_could_be_sent() -> None:
@@ -69,7 +70,24 @@ def test_a_turn_is_judged_by_what_its_directive_changes() -> None:
     assert not met({"speed": "down"}, now, None, [])
 
 
-@pytest.mark.parametrize(("name", "count"), [("dialogues", 20), ("strangers-dialogues", 60)])
+@pytest.mark.parametrize(
+    ("outcome", "why"),
+    [
+        ("refused", "unsafe command: heard: refused"),
+        ("refused", "40 m/s is far over the limit"),
+        ("out_of_scope", "not about driving: heard: out of scope"),
+        ("unclear", "unclear command: left or right?"),
+    ],
+)
+def test_what_is_not_driven_is_judged_by_why(outcome: str, why: str) -> None:
+    now, reply = scene(1), Reply(epoch=0, stamp_ns=0, command_id=1, outcome="refused", text="", why=why)
+    for other in ("refused", "out_of_scope", "unclear"):
+        assert met({"outcome": other}, now, None, [reply]) is (other == outcome)
+
+
+@pytest.mark.parametrize(
+    ("name", "count"), [("dialogues", 20), ("strangers-dialogues", 60), ("strangers-2-dialogues", 30)]
+)
 def test_dialogues_have_three_to_five_turns(name: str, count: int) -> None:
     dialogues = exam_lines(EXAMS[name])
     assert len(dialogues) == count
@@ -77,8 +95,8 @@ def test_dialogues_have_three_to_five_turns(name: str, count: int) -> None:
 
 
 def test_no_command_of_the_strangers_is_there_twice() -> None:
-    texts = [plain_text(label["text"]) for label in exam_lines(EXAMS["strangers"])]
-    assert len(texts) == len(set(texts)) >= 600
+    texts = [plain_text(label["text"]) for name in ("strangers", "strangers-2") for label in exam_lines(EXAMS[name])]
+    assert len(texts) == len(set(texts)) >= 900
 
 
 @pytest.mark.parametrize(
