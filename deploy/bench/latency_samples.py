@@ -31,7 +31,9 @@ PARTS = (
     "bus back",
 )
 """Of ours, in the order of time. `bus out` starts when the simulator's put has returned: it is negative where the fast
-node had the observation before that."""
+node had the observation before that. `features` and `policy` are of the ticks at which a decision is due."""
+ASKED = ("features", "policy")
+"""0 at a tick at which the policy is not asked."""
 
 
 @dataclass
@@ -151,7 +153,8 @@ def read_traces(folder: Path, load: Load, first: int, ends: int, samples: Sample
             ),
             strict=True,
         ):
-            paced.parts[name].append(ns / 1000.0)
+            if ns or name not in ASKED:
+                paced.parts[name].append(ns / 1000.0)
     if not took:
         raise MeasurementError("the simulator did not tick")
     samples.add(("ours", load, "15hz"), took, missed)

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from deploy.bench.deployed_system import Deployment, trace_of
+from deploy.bench.latency_samples import ASKED
 from deploy.bench.pingpongs import PingPongs
 from deploy.bench.progress import MeasurementError
 from deploy.bench.scale_points import Point, broken, point_of
@@ -85,10 +86,11 @@ def _most_vehicles(seen: Observation) -> int:
 
 
 def _parts_us(rows: Any) -> dict[str, float]:
-    """Medians [us] from the fast node's own stamps."""
+    """Medians [us] from the fast node's own stamps; of features and policy over the ticks with a decision."""
     arrived, decoded, mask, features, policy, stepped, put = rows[:, 2:].T
     parts = (decoded - arrived, mask, features, policy, stepped - decoded - mask - features - policy, put - stepped)
-    return {name: round(float(np.median(ns)) / 1000.0, 1) for name, ns in zip(PARTS, parts, strict=True)}
+    took = {name: ns[ns != 0] if name in ASKED else ns for name, ns in zip(PARTS, parts, strict=True)}
+    return {name: round(float(np.median(ns)) / 1000.0, 1) for name, ns in took.items() if len(ns)}
 
 
 def _step_us(observation: Observation, rounds: int = 200) -> float:
