@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 import zlib
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,8 @@ HEADS: dict[str, tuple[str, ...]] = {
 BUCKETS = 1 << 15
 NUMBER_SURE, NUMBER_DECIDES = 0.9, 0.1
 """How certain it must be what a number is for, and how likely that anything is wanted, for the number to decide."""
+RECENT = 32
+"""Texts whose features are kept: of one command several things are asked about the same part, at ten milliseconds each."""
 LIKELY = 0.2
 """A directive's wish must be this likely to be acted on where every slot is more likely unasked."""
 
@@ -65,6 +68,8 @@ class IntentParser:
     def __init__(self, embedder: MiniLmEmbedder) -> None:
         self._embedder = embedder
         self._w = embedder.delta
+        self.features = lru_cache(RECENT)(self._features)
+        """What the heads read of a text: the pooled token vectors, and the hidden layer over the n-grams."""
         quantities("two hundred")  # builds the tables of number words, a fifth of a second, before anybody speaks
 
     @classmethod
@@ -122,8 +127,7 @@ class IntentParser:
         wish = {name: value == "true" if name in ("overtake", "cancel") else value}
         return Parsed(Slots.model_validate({"outcome": "directive", "language": language, **wish}), chance, refused)
 
-    def features(self, text: str) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """What the heads read: the pooled token vectors, and the hidden layer over the n-grams."""
+    def _features(self, text: str) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         text = in_digits(text)
         x = self._embedder.tokens(text)
         pooled = np.concatenate([x.mean(axis=0), x.max(axis=0)])
