@@ -27,6 +27,7 @@ CANCELS = 0.5
 """Talk is taken for the wish to forget all more often than it is one."""
 _COMMAS = re.compile(r"\s*[,:]\s+")
 
+# What is said to somebody else about the car, and what fills a telephone call.
 _TO_OTHERS = re.compile(
     r"\b(?:not you|(?:talk|speak)ing to (?:the|my) (?:@?car|driver)|(?:tell(?:ing)?|said (?:that|it) to) the @?car\b(?! to)|(?:was|is|were) (?:for|not for|n.t for) "
     r"(?:the @?car|you)\b|nicht du\b|du nicht\b|(?:rede|spreche|sprach) (?:gerade )?mit dem @?(?:car|auto|wagen)|(?:furs|fur das) @?(?:car|auto)|"
@@ -61,12 +62,13 @@ _SMALL_TALK = re.compile(
     r"ti piac(?:e|ciono) |hai (?:visto|sentito|letto) |gostas d|viste |ja viste |heb je .{0,40}\b(?:gezien|gehoord|gelezen)\b|hou je van |vind je .{0,30}\bleuk\b|"
     r"(?:what a|how|quel(?:le)?|che|que|was fur ein\w*|wat een) (?:\w+ )?(?:lovely|beautiful|nice|gorgeous|beau|belle|joli\w*|magnifique|bel(?:la|lo)?|bonit\w|lind\w|schon\w*|mooi\w*|prachtig\w*)\b)"
 )
+"""Questions and exclamations of people at leisure."""
 _OF_DRIVING = re.compile(
     r"@(?!car)|\b(?:lane|speed|limit|gap|distance|overtak\w+|slow\w*|fast\w*|driv\w+|sign|light|spur|tempo|limit|abstand|uberhol\w*|fahr\w*|voie|vitesse|"
     r"doubl\w*|roul\w*|carril|velocidad\w*|adelant\w*|conduc\w*|corsia|velocita|sorpass\w*|guid\w*|faixa|ultrapass\w*|conduz\w*|strook|baan|"
     r"snelheid|inhal\w*|rij\w*|cartell?o|schild|panneau|senal|sinal|bord|going|braking|coming)\b"
 )
-"""Questions and exclamations of people at leisure, and the words that make them of the drive."""
+"""Words that make them of the drive."""
 _CALLED = re.compile(
     r",\s*(?:son|love|pet|dear|darling|mate|lad|pal|sweetheart|honey|will (?:you|ye)|would you|please|bitte|schatz|mon (?:ami|cher)|tesoro|"
     r"cari[\u00f1n]o|hijo|t[i\u00ed]o|amor|schat|joh|p\u00e1|filho)[.!?]*$",
@@ -74,7 +76,6 @@ _CALLED = re.compile(
 )
 """At the end of a wish, said to the car as to a person."""
 _NAME = re.compile(r",\s*[A-Z\u00c0-\u00dd]\w+[.!?]*$")
-"""What is said to somebody else about the car, and what fills a telephone call."""
 
 
 class Addressed:

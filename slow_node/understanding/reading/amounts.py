@@ -61,10 +61,8 @@ def amount(text: str) -> Step | None:
     if (more["first"] or more["before"] or more["after"]) and _only(plain, more) and AT_LEAST.search(plain) is None:
         return _step(more, "farther", "by")
     if AT_LEAST.search(plain) and not re.search(r"\bslow|langsam|fast|schnell|faster\b", plain):
-        cars = more["unit"].startswith(("@", "car", "wagen", "auto", "length"))
-        if (cars or _ROOM.search(plain)) and _only(
-            AT_LEAST.sub(" ", plain), _MORE_ROOM.search(AT_LEAST.sub(" ", plain))
-        ):
+        cars, bound = more["unit"].startswith(("@", "car", "wagen", "auto", "length")), AT_LEAST.sub(" ", plain)
+        if (cars or _ROOM.search(plain)) and _only(bound, _MORE_ROOM.search(bound)):
             return _step(more, "gap", "at_least")
     return None
 

@@ -10,7 +10,7 @@ from slow_node.understanding.number_words import replaced
 from slow_node.understanding.numbers import quantities
 from slow_node.understanding.reading.happens import told
 from slow_node.understanding.reading.lexicon import Found, Row, bare, rows, searchable, side_said
-from slow_node.understanding.reading.values import AT_LEAST as _AT_LEAST
+from slow_node.understanding.reading.values import AT_LEAST
 
 _SENTENCES = re.compile(r"(?<=[.!?;\u2026])\s+|\s*\n\s*|\s+[\u2013\u2014-]+\s+|(?<=[\w])\s*\u2026\s*|(?<=\w)\.\.+\s*")
 _THEN = re.compile(
@@ -58,6 +58,7 @@ _BEFORE_FIRST = re.compile(
     + r"[^,]{3,}), (?P<last>.{3,})$"
 )
 """One thing before the other: said in either order."""
+# Amounts in words: "half a minute", "a kilometre".
 _ONE = r"(?:a|an|one|another|eine?[nmr]?|une?|una?|uno|uma?|een)"
 _HALF = re.compile(
     r"\b(?:half an?|eine[nmr]? halbe[nr]?|une? demi|medi[ao]|mezz[ao]|mei[ao]|een half|een halve)[ -]"
@@ -98,7 +99,6 @@ _OFF_BEFORE = re.compile(
 )
 """Not before the exit is: until then not."""
 _SINGLE = re.compile(rf"\b{_ONE} (?=(?:minut[eoa]?|minuut|kilomet\w+|chilometro|quilometro|miles?|meile|km)\b)")
-"""Amounts in words: "half a minute", "a kilometre"."""
 _EVERY_ROAD = re.compile(
     r"\b(?:when|if|once|as soon as|wenn|sobald|si|quand|des que|cuando|en cuanto|se|quando|appena|assim que|als|zodra) "
     r"(?:it(?:'s| is)? |that(?:'s| is)? |es |das |c'est |es |sea |e |for |het |dat )?(?:safe|possible|convenient|sicher|moglich|geht|"
@@ -146,7 +146,7 @@ def clauses(sentence: str) -> list[Clause]:
         if when is not None:
             rest = _said_of_what_is_waited_for(rest, when)
         bounds = _TWO_BOUNDS.match(rest)
-        if bounds is not None and bool(_AT_LEAST.search(bounds["a"])) != bool(_AT_LEAST.search(bounds["b"])):
+        if bounds is not None and bool(AT_LEAST.search(bounds["a"])) != bool(AT_LEAST.search(bounds["b"])):
             found.append(Clause(bare(bounds["a"]), when, until, number > 0, asks, beside=True))
             found.append(Clause(bare(bounds["b"]), None, None, asks=asks, beside=True))
         else:
@@ -238,6 +238,10 @@ def _cut(text: str) -> tuple[str, Trigger | None, Trigger | None]:
     return text, when, until
 
 
+_METRES = ((("k", "q", "c"), 1000.0), (("mile", "meile"), 1609.3), (("y",), 0.9144), (("feet",), 0.3048))
+"""How long a unit is, by how it begins; others are metres."""
+
+
 def _trigger(row: Row, found: Found) -> Trigger | None:
     said, kind = found.said, row.fields["kind"]
     side = side_said(said)
@@ -245,17 +249,8 @@ def _trigger(row: Row, found: Found) -> Trigger | None:
     if kind == "time":
         value = float(said["t"].replace(",", ".")) * (60.0 if said["tu"].startswith("min") else 1.0)
     elif kind == "distance":
-        unit = said["du"]
-        metres = (
-            1000.0
-            if unit[0] in "kqc"
-            else 1609.3
-            if unit.startswith(("mile", "meile"))
-            else 0.9144
-            if unit[0] == "y"
-            else 1.0
-        )
-        value = float(said["d"].replace(",", ".")) * (0.3048 if unit == "feet" else metres)
+        metres = next((metres for begins, metres in _METRES if said["du"].startswith(begins)), 1.0)
+        value = float(said["d"].replace(",", ".")) * metres
     elif kind == "speed":
         speeds = [q.value for q in quantities(replaced(said["v"], lambda _, n: True)) if q.kind == "speed"]
         if not speeds:

@@ -37,8 +37,7 @@ def told(text: str) -> str:
     for pattern in _TOLD:
         found = pattern.search(text)
         if found is not None:
-            start, end = found.span("lasting" if "lasting" in pattern.groupindex else "time")
-            text = (
-                f"{text[:start]}soon{text[end:]}" if "lasting" not in pattern.groupindex else text[:start] + text[end:]
-            )
+            lasts = "lasting" in pattern.groupindex
+            start, end = found.span("lasting" if lasts else "time")
+            text = f"{text[:start]}{'' if lasts else 'soon'}{text[end:]}"
     return text

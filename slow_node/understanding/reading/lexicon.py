@@ -89,11 +89,16 @@ class Row(NamedTuple):
         """The longest of its matches in a text in `searchable` form."""
         whole = self.fields.get("whole", False)
         found = [m for p in self.patterns if (m := p.fullmatch(text) if whole else p.search(text))]
-        if not found:
-            return None
-        best = max(found, key=lambda match: match.end() - match.start())
-        said = {name.rsplit("_", 1)[0]: part for name, part in best.groupdict().items() if part}
-        return Found(best.start(), best.end(), said)
+        return _found(max(found, key=lambda match: match.end() - match.start())) if found else None
+
+    def match(self, text: str) -> Found | None:
+        """Of the whole text, in the first language in which it does."""
+        return next((_found(m) for p in self.patterns if (m := p.fullmatch(text))), None)
+
+
+def _found(match: re.Match[str]) -> Found:
+    said = {name.rsplit("_", 1)[0]: part for name, part in match.groupdict().items() if part}
+    return Found(match.start(), match.end(), said)
 
 
 @cache

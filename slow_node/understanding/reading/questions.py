@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from schemas.wire.program import Question
-from slow_node.understanding.reading.lexicon import rows
+from slow_node.understanding.reading.lexicon import Row, rows
 
 MOST_BEFORE = 4
 """So many words may stand before the word of asking: "and tell me then, ..."."""
@@ -21,15 +21,18 @@ def question_in(clause: str, marked: bool) -> Question:
 
     marked: a question mark ends its sentence.
     """
-    found: Question = ""
     for row in rows("questions", "asks"):
         hit = row.search(clause)
         if hit is not None and hit.start == 0:
-            return str(row.fields["question"])  # type: ignore[return-value]
+            return _asked_by(row)
     for row in rows("topics", "topics"):
         hit = row.search(clause) if marked or not row.fields.get("mark") else None
-        before = clause if hit is None else clause[: hit.start]
+        before = clause[: hit.start] if hit is not None else ""
         if hit is not None and len(before.split()) <= MOST_BEFORE and not _WISH.search(before):
-            found = row.fields["question"]
-            break
-    return found
+            return _asked_by(row)
+    return ""
+
+
+def _asked_by(row: Row) -> Question:
+    question: Question = row.fields["question"]
+    return question

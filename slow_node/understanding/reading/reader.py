@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -42,6 +43,8 @@ _WHERE = re.compile(
     r"(?:\w+ )?(?:verge|road|roadside|middle|street|strasse|waldrand|fahrbahn|seite|route|chaussee|bas-cote|carretera|calzada|arcen|strada|ciglio|estrada|berma|weg|berm)$"
 )
 _JOINED = re.compile(r"\b(?:and|but|und|aber|et|mais|y|pero|e|ma|mas|en|maar)\b|\d|,")
+MOST_SIZE = 30.0
+"""A larger number alone is a speed."""
 LEFTOVER_WORDS = 4
 """So few words around something sure, and nothing that joins them to it, are how it was said."""
 _WAVERS = re.compile(
@@ -300,9 +303,8 @@ def _sure(clause: Clause) -> _Sure | None:
         if question:
             return _Sure(None, question, False, rest)
         for row in rows("questions", "follows"):
-            forms = (candidate, _WAVERS.sub("", candidate))
-            said = next((m for form in forms for p in row.patterns if (m := p.fullmatch(form))), None)
-            step = None if said is None else _follow_up(row, said)
+            said = row.match(candidate) or row.match(_WAVERS.sub("", candidate))
+            step = None if said is None else _follow_up(row, said.said)
             if step is not None:
                 return _Sure(step, "", True, _POLITE.sub("", _WAVERS.sub("", f"{rest} ")).strip())
         changed = None if rest else amount(candidate)
@@ -330,20 +332,17 @@ def _without(rest: str, said: str) -> str:
     return "" if rest and set(re.split(r"[ ,]+", rest)) <= set(re.split(r"[ ,]+", said)) else rest
 
 
-def _follow_up(row: Row, said: re.Match[str]) -> Step | None:
+def _follow_up(row: Row, said: Mapping[str, str]) -> Step | None:
     """The step that goes by the wish before it; a number without its unit is another size of that."""
     about = row.fields.get("object", "")
     if about != "number":
         return Step(act=row.fields["act"], object=about)
-    groups = {name.rsplit("_", 1)[0]: part for name, part in said.groupdict().items() if part}
-    digits = groups["v"].replace(",", ".")
-    value = (float(digits) if digits[0].isdigit() else 1.0) + (0.5 if "half" in groups else 0.0)
-    unit = {"s": "s", "m": "m"}.get(groups.get("vu", " ")[0])
+    digits = said["v"].replace(",", ".")
+    value = (float(digits) if digits[0].isdigit() else 1.0) + (0.5 if "half" in said else 0.0)
+    unit = {"s": "s", "m": "m"}.get(said.get("vu", " ")[0])
     return Step(act="again", object=about, value=value, unit=unit) if value < MOST_SIZE else None  # type: ignore[arg-type]
 
 
-MOST_SIZE = 30.0
-"""A larger number alone is a speed."""
 _OPPOSITE: dict[str | None, Any] = {"left": "right", "right": "left", None: None}
 
 
