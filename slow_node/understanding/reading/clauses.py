@@ -88,7 +88,7 @@ _COUPLE = re.compile(
     r"\b(?:a )?couple(?: of)? (?=minutes|seconds|secs|kilomet|miles|km)|\b(?:ein )?paar (?=minuten|sekunden|kilometer)"
 )
 _LET_FIRST = re.compile(r"^lass(?:e|t)? (?:erst(?:mal)?|zuerst) ")
-_SO_FAR = re.compile(r"(?:another|noch|nog|encore|otros|ancora|altri|mais) \d+(?:[.,]\d+)? \w+")
+_SO_FAR = re.compile(r"(?:another|noch|nog|encore|otr[oa]s|ancora|altr[ie]|mais) \d+(?:[.,]\d+)? \w+")
 _NEXT_ONE = re.compile(r"\b(next|nachste|prochaine|proximo|prossimo|volgende) (?=minut)")
 _MORE_OF_IT = re.compile(r"\bfor (\d+|1) more (?=minut|second|kilomet|mile|km|metre|meter)")
 _OFF_BEFORE = re.compile(
@@ -238,7 +238,7 @@ def _cut(text: str) -> tuple[str, Trigger | None, Trigger | None]:
     return text, when, until
 
 
-_METRES = ((("k", "q", "c"), 1000.0), (("mile", "meile"), 1609.3), (("y",), 0.9144), (("feet",), 0.3048))
+_METRES = ((("k", "q", "c"), 1000.0), (("mil", "meil", "migl", "mij"), 1609.3), (("y",), 0.9144), (("feet",), 0.3048))
 """How long a unit is, by how it begins; others are metres."""
 
 

@@ -162,6 +162,12 @@ LEFT = {"act": "lane", "side": "left", "count": 1}
 RIGHT = {"act": "lane", "side": "right", "count": 1}
 IN_WORDS = {
     "Give it half a minute and then move over to the right": [{**RIGHT, "when": {"kind": "time", "value": 30.0}}],
+    "Resta in questa corsia ancora 2 miglia": [
+        {"act": "keep", "object": "lane", "until": {"kind": "distance", "value": 3218.6}}
+    ],
+    "Sigue en este carril otras 3 millas": [
+        {"act": "keep", "object": "lane", "until": {"kind": "distance", "value": 4827.9}}
+    ],
     "In about a kilometre, get into the right lane": [{**RIGHT, "when": {"kind": "distance", "value": 1000.0}}],
     "Keep this speed for another mile": [
         {"act": "keep", "object": "speed", "until": {"kind": "distance", "value": 1609.3}}
