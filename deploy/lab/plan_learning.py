@@ -1,6 +1,6 @@
 """Learn how the shipped driver weighs its plans before a lane's end, by the ride score:
 
-    python -m deploy.lab.plan_learning --generations 40 --out runs/plans.json
+    python -m deploy.lab.plan_learning --generations 24 --out runs/plans.json
 
 A generation drives every candidate through the same episodes, others each time. The file is written after each; run
 again, it goes on. `fastslow evaluate --policy gaps:runs/plans.json` drives by it.
@@ -19,8 +19,7 @@ import msgspec
 import numpy as np
 
 from deploy.lab.agents import behind_the_mask, drive
-from fast_node.policies.gaps import DESCRIBED
-from fast_node.training.plan_weights import Floats, Search
+from fast_node.training.plan_weights import Search
 from schemas.runtime.process import CONFIG, OK, ConfigError
 from sim_node.scenario_file import find_scenario
 
@@ -57,14 +56,13 @@ def learn(out: Path, generations: int, seed: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "plans.json"
 
-        def tried(weights: Floats) -> float:
-            named = dict(zip(DESCRIBED, map(float, weights), strict=True))
-            path.write_bytes(msgspec.json.encode({"weights": named}))
+        def tried(weights: dict[str, float]) -> float:
+            path.write_bytes(msgspec.json.encode({"weights": weights}))
             return worth(f"gaps:{path}", search.generation)
 
         while search.generation < generations:
             began = time.monotonic()
-            by_hand, mean = worth("gaps", search.generation), tried(np.array(search.mean))
+            by_hand, mean = worth("gaps", search.generation), tried(search.weights)
             search.tell(np.array([tried(one) for one in search.candidates()]))
             roads = {road.name: road.episodes for road in ROADS}
             search.save(out, {"roads": roads, "last": {"by_hand": by_hand, "learnt": mean}})
@@ -79,7 +77,7 @@ def learn(out: Path, generations: int, seed: int) -> None:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="where the weights go; gone on with if it exists")
-    parser.add_argument("--generations", type=int, default=40, help="in all (default 40)")
+    parser.add_argument("--generations", type=int, default=24, help="in all (default 24)")
     parser.add_argument("--seed", type=int, default=0, help="of the candidates (default 0)")
     options = parser.parse_args()
     try:

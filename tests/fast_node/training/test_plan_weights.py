@@ -20,24 +20,26 @@ def test_the_best_rank_counts_most_and_all_of_them_add_up_to_nothing() -> None:
 
 
 def test_candidates_are_pairs_of_opposites_around_the_mean_and_others_each_time() -> None:
-    search = Search.begin(1)
+    search, half = Search.begin(1), CANDIDATES // 2
     first = search.candidates()
-    half = CANDIDATES // 2
-    np.testing.assert_allclose(first[:half] + first[half:], np.broadcast_to(2.0 * np.array(search.mean), (half, 12)))
-    np.testing.assert_array_equal(first, Search.begin(1).candidates())
+    assert len(first) == CANDIDATES
+    for one, other in zip(first[:half], first[half:], strict=True):
+        assert {name: (one[name] + other[name]) / 2.0 for name in DESCRIBED} == pytest.approx(search.weights)
+    assert first == Search.begin(1).candidates()
     search.tell(np.arange(CANDIDATES, dtype=float))
     assert not np.isclose(search.drawn(), Search.begin(1).drawn()).any()
 
 
 def test_it_begins_with_the_weights_by_hand() -> None:
-    assert dict(zip(DESCRIBED, Search.begin(0).mean, strict=True)) == START
+    assert Search.begin(0).weights == START
 
 
 def test_it_finds_the_best_weights_of_a_bowl() -> None:
     search, best = Search.begin(0), np.linspace(-0.5, 1.5, len(DESCRIBED))
     for _ in range(300):
-        search.tell(-((search.candidates() - best) ** 2).sum(1))
-    np.testing.assert_allclose(search.mean, best, atol=0.05)
+        tried = np.array([[one[name] for name in DESCRIBED] for one in search.candidates()])
+        search.tell(-((tried - best) ** 2).sum(1))
+    np.testing.assert_allclose([search.weights[name] for name in DESCRIBED], best, atol=0.05)
 
 
 def test_one_that_was_stopped_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
@@ -45,14 +47,15 @@ def test_one_that_was_stopped_goes_on_as_if_it_had_not_been(tmp_path: Path) -> N
     for _ in range(4):
         part = Search.resume(path, 3)
         for search in (whole, part):
-            search.tell(search.candidates().sum(1))
+            search.tell(np.array([sum(one.values()) for one in search.candidates()]))
         part.save(path, {"roads": {"merge": 1}})
     assert part == whole
-    np.testing.assert_allclose(read_weights(path), whole.mean, atol=1e-4)
+    np.testing.assert_allclose(read_weights(path), [whole.weights[name] for name in DESCRIBED])
 
 
-def test_a_file_without_a_search_is_not_gone_on_with(tmp_path: Path) -> None:
+@pytest.mark.parametrize("content", ["{}", '{"weights": {"open": 1.0}, "widths": {"open": 0.1}}'])
+def test_a_file_without_a_search_of_these_weights_is_not_gone_on_with(tmp_path: Path, content: str) -> None:
     path = tmp_path / "plans.json"
-    path.write_text("{}")
+    path.write_text(content)
     with pytest.raises(ConfigError, match="name another file"):
         Search.resume(path, 0)
