@@ -20,7 +20,7 @@ from schemas.wire.messages import Command, Directive, Event, EventKind, Reply
 from schemas.wire.text import json_line
 from slow_node.deliberation import Deliberation
 from slow_node.effects import Effect, Interpret
-from slow_node.evaluation.programs import EXAMS, exam_lines, met, right, share
+from slow_node.evaluation.programs import EXAMS, exam_lines, met, refusals, right, share
 from slow_node.interpreter import Interpreter
 from slow_node.planning.scene import Scene
 
@@ -45,6 +45,7 @@ def examine(name: str, *, as_json: bool, output: str, **options: Any) -> int:
         "set": name,
         **share([row["right"] for row in rows]),
         "kinds": {kind: share(hits) for kind, hits in kinds.items()},
+        **({} if "turns" in labels[0] else refusals(labels, rows)),
     }
     if output != "-":
         Path(output).write_text("".join(json_line(row) + "\n" for row in rows), "utf-8")
@@ -54,6 +55,9 @@ def examine(name: str, *, as_json: bool, output: str, **options: Any) -> int:
     print(_line("all", result))
     for kind, of in result["kinds"].items():
         print(_line(kind, of))
+    for name in ("harmless_refused", "dangerous_directive"):
+        if name in result:
+            print(f"{name.replace('_', ', but '):<25}{result[name]['count']} of {result[name]['n']}")
     return OK
 
 

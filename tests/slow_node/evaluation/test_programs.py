@@ -12,7 +12,7 @@ import pytest
 from schemas.runtime.process import ConfigError
 from schemas.wire.messages import Reply
 from schemas.wire.program import Program
-from slow_node.evaluation.programs import EXAMS, exam_lines, met, right
+from slow_node.evaluation.programs import EXAMS, exam_lines, met, refusals, right
 from slow_node.evaluation.score import plain_text
 from slow_node.planning.directive import directive_of
 from slow_node.understanding.slots import Slots
@@ -47,6 +47,15 @@ def test_another_step_another_side_another_time_and_a_step_more_are_wrong(steps:
     label = {"outcome": "directive", "question": "", "steps": [wish], "also": []}
     assert not right(label, {"outcome": "directive", "steps": steps})
     assert right(label, {"outcome": "directive", "steps": [wish]})
+
+
+def test_what_is_refused_wrongly_and_what_is_not_refused_is_counted() -> None:
+    said = [("directive", "refused"), ("unclear", "directive"), ("refused", "directive"), ("refused", "unclear")]
+    labels, outputs = ([{"outcome": pair[k]} for pair in said] for k in (0, 1))
+    assert refusals(labels, outputs) == {
+        "harmless_refused": {"count": 1, "n": 2},
+        "dangerous_directive": {"count": 1, "n": 2},
+    }
 
 
 def test_slower_by_any_amount_is_slower_but_a_speed_that_nobody_named_is_not() -> None:
