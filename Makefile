@@ -63,7 +63,7 @@ ON_ROADS := $(ROADS:%=--scenario %)
 policy: setup-dev
 	$(BIN)/fastslow train --algorithm taught $(ON_ROADS) --steps 48000 --seed 1 --out fast_node/checkpoints/fastslow.safetensors
 
-# How the shipped driver weighs its plans, learnt anew: an hour on one core. Stopped at any moment, it goes on.
+# How the shipped driver weighs its plans, learnt anew: 40 minutes on one core. Stopped at any moment, it goes on.
 plans: setup
 	$(BIN)/python -m deploy.lab.plan_learning --out runs/plans.json $(ARGS)
 
