@@ -106,7 +106,8 @@ class Asking:
     def _said_program(self, command: str, scene: Scene, read: Read | None, answer: str, trace: Trace) -> Said:
         """The program in an answer, on this road. Raises `ParseError`."""
         try:
-            program = replace_miles(read_program(answer), uses_miles(command))
+            # Whether the passenger speaks of miles is a rule's to say.
+            program = structs.replace(read_program(answer), miles=uses_miles(command))
         except ParseError as error:
             trace.parses.append(str(error))
             raise
@@ -151,11 +152,6 @@ class Asking:
             corrected = slots.model_copy(update=numbers)
             return (slots if corrected.is_empty() else corrected), ""
         return slots, ""
-
-
-def replace_miles(program: Program, miles: bool) -> Program:
-    """Whether the passenger speaks of miles is a rule's to say."""
-    return structs.replace(program, miles=miles)
 
 
 def _refuse_unsaid(program: Program, command: str, other: Program | None, trace: Trace) -> None:
