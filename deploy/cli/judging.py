@@ -138,6 +138,10 @@ def evaluate(
         Path | None,
         typer.Option(metavar="FILE.csv", dir_okay=False, writable=True, help="Write a row per episode there."),
     ] = None,
+    table: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", dir_okay=False, writable=True, help="Write every figure of every row there."),
+    ] = None,
     video: Annotated[
         Path | None,
         typer.Option(
@@ -164,7 +168,7 @@ def evaluate(
     """Drive episodes on seeds that training never saw, and print what came of it with 95 % intervals."""
     if plot is not None and len(set(wish or ())) < 2:
         raise typer.BadParameter("needs two or more wishes: --wish 20 --wish 25", param_hint="'--plot'")
-    for option, file in (("--plot", plot), ("--rows", rows), ("--keep", keep)):
+    for option, file in (("--plot", plot), ("--rows", rows), ("--table", table), ("--keep", keep)):
         if file is not None and not file.parent.is_dir():
             raise typer.BadParameter(f"no folder {file.parent}: make it first", param_hint=f"'{option}'")
     checkpoints = checkpoint or []
@@ -181,6 +185,7 @@ def evaluate(
         from deploy.lab.agents import AGENTS
         from deploy.lab.episodes import Directive
         from deploy.lab.farm import Farm
+        from deploy.lab.files import write_table
         from deploy.lab.paired import Episode, compare, paired_table, write_rows
         from deploy.lab.rows import Kept
         from sim_node.scenarios import SCENARIOS
@@ -218,6 +223,8 @@ def evaluate(
         )
         if rows is not None:
             write_rows(each, rows)
+        if table is not None:
+            write_table(result["rows"], table)
         if pair:
             result["paired"] = compare(each, *pair)
         typer.echo(json.dumps(result) if as_json else report.table(result))

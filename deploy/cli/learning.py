@@ -138,11 +138,10 @@ def train(
 )
 def study(
     out: Annotated[
-        Path, typer.Option(help="Where cells, study.json and study.png go; finished cells are kept.")
+        Path, typer.Option(help="Where cells, study.json, .csv and .png go; finished cells are kept.")
     ] = Path("runs/study"),
     algorithm: Annotated[
-        list[str] | None,
-        typer.Option(help="ours, ppo, dqn, a2c or maskable-ppo; may be repeated.", show_default="the first four"),
+        list[str] | None, typer.Option(help="ours, ppo, dqn, a2c or maskable-ppo; may be repeated.", show_default="all")
     ] = None,
     variant: Annotated[
         list[str] | None,
@@ -187,7 +186,7 @@ def study(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Compare our learner with PPO, DQN and A2C over several seeds; run again to go on."""
+    """Compare our learner with PPO, DQN, A2C and MaskablePPO over several seeds; run again to go on."""
     with readable_ends():
         from deploy.lab.farm import Farm
         from deploy.lab.study.cells import ALGORITHMS, ROADS

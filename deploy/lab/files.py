@@ -1,11 +1,13 @@
-"""Files of the lab: a folder's by value, as a task that ran elsewhere hands them over, and one that grows by rows."""
+"""Files of the lab: a folder's by value, as a task that ran elsewhere hands them over, one that grows by rows, and a
+table."""
 
 from __future__ import annotations
 
+import csv
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from schemas.runtime.process import ConfigError
 
@@ -46,3 +48,21 @@ def whole_lines(path: Path, begins: bytes, read: Callable[[bytes], Row]) -> list
         why = error.strerror if isinstance(error, OSError) else "it holds something else"
         raise ConfigError(f"{path} cannot be gone on with: {why}; move it away, or name another file") from None
     return rows
+
+
+def write_table(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """A CSV file, numbers with four digits; `x_ci95` becomes `x_low` and `x_high`, any other list one cell."""
+    flat = [dict(cell for column, value in row.items() for cell in _cells(column, value)) for row in rows]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list({column: None for row in flat for column in row}))
+        writer.writeheader()
+        writer.writerows(flat)
+
+
+def _cells(column: str, value: Any) -> list[tuple[str, Any]]:
+    if isinstance(value, list | tuple) and column.endswith("_ci95"):
+        name = column.removesuffix("_ci95")
+        return [(f"{name}_{end}", f"{bound:.4g}") for end, bound in zip(("low", "high"), value, strict=True)]
+    if isinstance(value, list | tuple):
+        return [(column, " ".join(map(str, value)))]
+    return [(column, f"{value:.4g}" if isinstance(value, float) else value)]

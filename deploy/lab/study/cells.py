@@ -24,7 +24,7 @@ from deploy.lab.files import brought, put
 from deploy.lab.training import BASELINE_SCENES, SCENES, mixed_scenes, scenes_of
 from fast_node.mask import VERSION as MASK_VERSION
 from fast_node.policies.load import load_policy
-from fast_node.policies.mlp import BASELINES, LEARNERS, PARTS, VARIANTS, masked, told
+from fast_node.policies.mlp import LEARNERS, PARTS, VARIANTS, masked, told
 from fast_node.policies.policy import NamedPolicy
 from fast_node.training.rollout import Driver, Fleet
 from schemas.driving.features import LAYOUT_HASH
@@ -32,7 +32,7 @@ from sim_node.engine.batched import Batched
 from sim_node.results import summarise
 from sim_node.scenarios import SCENARIOS
 
-ALGORITHMS = ("ours", *BASELINES)
+ALGORITHMS = ("ours", *LEARNERS)
 MASKED_ONLY = ("ours", "maskable-ppo")
 """They learn by what the mask closes."""
 ROADS = ("highway", "merge", "two-way")
@@ -88,7 +88,7 @@ def cells_of(
 ) -> list[Cell]:
     """The matrix, one seed of everything after the other. Raises ValueError for unknown names."""
     for what, names, known in (
-        ("algorithm", algorithms, ("ours", *LEARNERS)),
+        ("algorithm", algorithms, ALGORITHMS),
         ("scenario", scenarios, tuple(SCENARIOS)),
         ("variant", variants, VARIANTS + PARTS),
     ):

@@ -16,8 +16,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from deploy.lab.farm import Farm
+from deploy.lab.files import write_table
 from deploy.lab.study.cells import ALGORITHMS, EPISODES, ROADS, SEEDS, STEPS, Cell, cells_of, finished, keep, run_away
-from deploy.lab.study.report import claims_of, plot, search_rows, search_table, summary_of, table
+from deploy.lab.study.report import plot, search_rows, search_table, summary_of, table
 from fast_node.policies.mlp import BASELINES, VARIANTS
 from schemas.runtime.process import ConfigError
 
@@ -41,7 +42,7 @@ def run_study(
     quick: bool = False,
     as_json: bool = False,
 ) -> int:
-    """Run what is missing of the matrix on `farm`; write study.json and study.png; print the table.
+    """Run what is missing of the matrix on `farm`; write study.json, study.csv and study.png; print the table.
 
     Finished cells are kept in `out`/cells and skipped. `quick`: our learner on one road, 10,000 decisions, always anew
     and in `out`/quick alone, which is emptied first; the exit code is 1 if it learns too little. Raises ValueError for
@@ -60,10 +61,11 @@ def run_study(
     out.mkdir(parents=True, exist_ok=True)
     results = run_cells(cells, out / "cells", farm)
     rows = summary_of(results)
-    study = {"schema": SCHEMA, "cells": results, "summary": rows, "claims": claims_of(rows)}
+    study = {"schema": SCHEMA, "cells": results, "summary": rows}
     (out / "study.json").write_text(json.dumps(study, indent=1) + "\n")
+    write_table(rows, out / "study.csv")
     plot(results, out / "study.png")
-    print(json.dumps(study) if as_json else table(study))
+    print(json.dumps(study) if as_json else table(rows))
     if not quick:
         return 0
     reached = mean(r["curve"][-1][1] for r in results)

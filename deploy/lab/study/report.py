@@ -1,4 +1,4 @@
-"""What came of a study: its summary, the paper's claims, the search's table, and the learning curves."""
+"""What came of a study: its summary, the search's table, and the learning curves."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from deploy.lab.picture import COLOURS, picture
+from deploy.lab.picture import colour_of, picture
 from deploy.lab.statistics import t_interval, wilson95
 from deploy.lab.study.cells import ALGORITHMS, FIGURES
 
 EARLY = 30_000
 """By here the paper's agent has passed PPO's final return."""
-GAIN = 0.3
-"""And in the end it is this share above A2C."""
 
 
 def at(curve: Sequence[Sequence[float]], steps: float) -> float | None:
@@ -49,91 +47,52 @@ def summary_of(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 **{k: mean(r[k] for r in some) for k in FIGURES},
             }
         )
+    ours = {r["scenario"]: r for r in rows if r["algorithm"] == "ours"}
     for row in rows:
-        row["above_a2c"] = {
-            r["variant"]: (row["return"] - r["return"]) / abs(r["return"])
-            for r in rows
-            if r["scenario"] == row["scenario"] and r["algorithm"] == "a2c"
-        }
+        row["ours"] = beside(ours.get(row["scenario"], row), row)
     return rows
 
 
-def claims_of(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The paper's three claims, each against each baseline it names, and whether we measured it."""
-    claims = []
-    for ours in (r for r in rows if r["algorithm"] == "ours"):
-        for r in rows:
-            if r["scenario"] != ours["scenario"] or r["algorithm"] == "ours":
-                continue
-
-            def claim(text: str, mine: float | None, holds: bool, r: dict[str, Any] = r) -> None:
-                claims.append(
-                    {
-                        "claim": text,
-                        "scenario": r["scenario"],
-                        "against": f"{r['algorithm']} {r['variant']}",
-                        "ours": mine,
-                        "theirs": r["return"],
-                        "holds": holds,
-                    }
-                )
-
-            halves = [ours["return_half"], r["return_half"]]
-            claim(
-                "final return above, 95 % intervals apart",
-                ours["return"],
-                None not in halves and ours["return"] - r["return"] > sum(halves),
-            )
-            if r["algorithm"] == "ppo" and ours["return_early"] is not None:
-                claim(
-                    f"return at {EARLY:,} decisions above PPO's final",
-                    ours["return_early"],
-                    ours["return_early"] > r["return"],
-                )
-            if r["algorithm"] == "a2c":
-                claim(
-                    f"final return at least {GAIN:.0%} of |A2C's| above A2C's",
-                    ours["return"],
-                    ours["return"] - r["return"] >= GAIN * abs(r["return"]),
-                )
-    return claims
+def beside(one: dict[str, Any], other: dict[str, Any]) -> str:
+    """Whether the final return of the first is "above" or "below" the second's, the 95 % intervals apart; else ""."""
+    halves = (one["return_half"], other["return_half"])
+    difference = one["return"] - other["return"]
+    if None in halves or abs(difference) <= sum(halves):
+        return ""
+    return "above" if difference > 0 else "below"
 
 
-def table(study: dict[str, Any]) -> str:
-    """Summary and claims as Markdown."""
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """The summary as Markdown."""
     lines = [
-        f"| road | algorithm | seeds | final return | at {EARLY // 1000}k | above A2C, bare / masked | success "
-        "| own fault, struck | speed | a var | min TTC |",
-        "| --- " * 11 + "|",
+        f"| road | algorithm | final return | ours is | at {EARLY // 1000}k | success % | own fault, struck | speed "
+        "| a var | min TTC |",
+        "| --- " * 10 + "|",
     ]
-    for r in study["summary"]:
+    for r in rows:
         low, high = r["success_ci95"]
-        early = "" if r["return_early"] is None else f"{r['return_early']:.3f}"
-        above = " / ".join(f"{r['above_a2c'][v]:+.0%}" for v in ("bare", "masked") if v in r["above_a2c"])
+        early = "" if r["return_early"] is None else f"{r['return_early']:.2f}"
         name = "ours" if r["algorithm"] == "ours" else f"{r['algorithm']} {r['variant']}"
-        half = "?" if r["return_half"] is None else f"{r['return_half']:.3f}"
+        half = "?" if r["return_half"] is None else f"{r['return_half']:.2f}"
         lines.append(
             " ".join(
                 (
-                    f"| {r['scenario']} | {name} | {r['seeds']} | {r['return']:.3f} ± {half} | {early} | {above}",
-                    f"| {r['success']:.1%} ({100 * low:.0f}-{100 * high:.0f})",
+                    f"| {r['scenario']} | {name} | {r['return']:.2f} ± {half} | {r['ours']} | {early}",
+                    f"| {100 * r['success']:.1f} ({100 * low:.0f}-{100 * high:.0f})",
                     f"| {r['ego_fault_collisions']:.1f}, {r['struck_collisions']:.1f} | {r['avg_speed']:.2f}",
-                    f"| {r['accel_var']:.2f} | {r['min_ttc_mean']:.2f} |",
+                    f"| {r['accel_var']:.2f} | {r['min_ttc_mean']:.1f} |",
                 )
             )
         )
-    lines += [
-        "",
-        "± and brackets: 95 %, over seeds (Student's t) and over all episodes (Wilson). Where A2C's",
-        "return is negative, percentages are of its size. Collisions: per seed.",
-        "",
-    ]
-    lines += [
-        f"* {c['scenario']}, against {c['against']}: {c['claim']}: {'yes' if c['holds'] else 'NO'} "
-        f"({c['ours']:.3f}, {c['theirs']:.3f})"
-        for c in study["claims"]
-    ]
-    return "\n".join(lines)
+    most = max(r["seeds"] for r in rows)
+    return "\n".join(
+        [
+            *lines,
+            "",
+            f"Up to {most} seeds. ± and brackets: 95 %, over seeds (Student's t) and over all episodes (Wilson). Ours",
+            "is above or below where the intervals of the final returns are apart. Collisions: per seed.",
+        ]
+    )
 
 
 def search_rows(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -181,16 +140,15 @@ def plot(results: Sequence[dict[str, Any]], path: Path) -> None:
                 steps = [step for step, _ in curves[0]]
                 points = zip(*([value for _, value in curve] for curve in curves), strict=True)
                 middle, half = np.array([(m, h or 0.0) for m, h in map(t_interval, points)]).T
+                colour = colour_of(algorithm, [algorithm])
                 dashed = algorithm != "ours" and variant == "masked"
                 axis.plot(
                     steps,
                     middle,
-                    color=COLOURS[algorithm],
+                    color=colour,
                     linestyle="--" if dashed else "-",
                     label=algorithm if algorithm == "ours" else f"{algorithm} {variant}",
                 )
-                axis.fill_between(
-                    steps, middle - half, middle + half, color=COLOURS[algorithm], alpha=0.12, linewidth=0
-                )
+                axis.fill_between(steps, middle - half, middle + half, color=colour, alpha=0.12, linewidth=0)
             axis.set(title=road, xlabel="decisions", ylabel="evaluation return")
         axes[0][-1].legend(fontsize="small")

@@ -32,11 +32,12 @@ def test_an_episode_without_a_number_is_left_out_of_its_difference() -> None:
     assert row["avg_speed"] == {"difference": 2.0, "ci95": None, "pairs": 1}
 
 
-def test_two_checkpoints_are_compared_and_every_episode_is_written(tmp_path: Path) -> None:
+def test_two_checkpoints_are_compared_and_every_episode_and_row_is_written(tmp_path: Path) -> None:
     files = ["--checkpoint", str(SHIPPED), "--checkpoint", str(shipped("ppo", "masked"))]
-    rows = tmp_path / "episodes.csv"
+    rows, table = tmp_path / "episodes.csv", tmp_path / "table.csv"
+    written_to = ["--rows", str(rows), "--table", str(table)]
     told = CliRunner().invoke(
-        app, ["evaluate", *files, "--scenario", "highway", "--episodes", "2", "--rows", str(rows), "--json"]
+        app, ["evaluate", *files, "--scenario", "highway", "--episodes", "2", *written_to, "--json"]
     )
     (paired,) = json.loads(told.stdout)["paired"]
     with rows.open(encoding="utf-8") as file:
@@ -46,6 +47,8 @@ def test_two_checkpoints_are_compared_and_every_episode_is_written(tmp_path: Pat
     assert sorted(speed) == sorted((agent, seed) for agent in (ours, other) for seed in ("1000", "1001"))
     mean = sum(speed[other, seed] - speed[ours, seed] for seed in ("1000", "1001")) / 2
     assert paired["avg_speed"]["difference"] == pytest.approx(mean)
+    with table.open(encoding="utf-8") as file:
+        assert [(row["agent"], row["success_of"]) for row in csv.DictReader(file)] == [(ours, "2"), (other, "2")]
 
 
 @pytest.mark.parametrize("more", [["--agent", "rule"], ["--policy", "rule"], ["--checkpoint", str(SHIPPED)]])
