@@ -4,7 +4,7 @@ BIN := .venv/bin
 TEXT ?= I'm in a hurry to get to work, I want to drive faster
 export TEXT
 
-.PHONY: setup setup-dev run say test test-all parity difficulty study policy plans baselines film picture screenshots check mutants faults soak wheel-test clean
+.PHONY: setup setup-dev run say test test-all parity difficulty study policy gaps courses baselines film picture screenshots check mutants faults soak wheel-test clean
 .DEFAULT_GOAL := run
 
 # What driving, speaking and evaluating need: no torch.
@@ -63,9 +63,10 @@ ON_ROADS := $(ROADS:%=--scenario %)
 policy: setup-dev
 	$(BIN)/fastslow train --algorithm taught $(ON_ROADS) --steps 48000 --seed 1 --out fast_node/checkpoints/fastslow.safetensors
 
-# How the shipped driver weighs its plans, learnt anew: 40 minutes on one core. Stopped at any moment, it goes on.
-plans: setup
-	$(BIN)/python -m deploy.lab.plan_learning --out runs/plans.json $(ARGS)
+# How the shipped driver weighs its gaps and its courses, learnt anew: 40 minutes each, on one core. Stopped at any
+# moment, it goes on.
+gaps courses: setup
+	$(BIN)/python -m deploy.lab.plan_learning $@ --out runs/$@.json $(ARGS)
 
 # The baselines that `fastslow evaluate` knows, on the same roads: one policy for all of them, the paper's budget, seed 0.
 baselines: setup-dev

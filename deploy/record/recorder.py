@@ -16,7 +16,7 @@ from deploy.record.container import McapFile
 from deploy.record.reader import METADATA
 from deploy.run.processes import RECORDING
 from fast_node.mask.vocabulary import VERSION as MASK_VERSION
-from fast_node.policies.attention import SHIPPED
+from fast_node.policies.load import files_of
 from schemas.runtime.bus import Arrival
 from schemas.runtime.clock import NS
 from schemas.runtime.process import revision
@@ -98,11 +98,10 @@ def describe(about: dict[str, str], policy: str) -> dict[str, str]:
 
 
 def digest_of(policy: str) -> str:
-    """SHA-256 of the checkpoint that a policy's name or path stands for; "" for a policy that is none."""
-    path = Path(policy) if policy.endswith(".safetensors") or "/" in policy else SHIPPED.with_stem(policy)
+    """SHA-256 of the files that a policy is read from, one after the other; "" for a policy that has none."""
+    files = files_of(policy)
     try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest() if files else ""
     except OSError:
         return ""
 

@@ -1,21 +1,22 @@
-"""The shipped network with something taken away: what it sees, what it is told, what it has learnt. For comparison."""
+"""A driver with something taken away: what it sees, what it is told, what its network has learnt. For comparison."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from fast_node.policies.attention import SHIPPED, AttentionPolicy, load_attention
+from fast_node.policies.attention import SHIPPED, AttentionPolicy
 from fast_node.policies.checkpoint import read_checkpoint
 from fast_node.policies.mlp import WISH
+from fast_node.policies.policy import Policy
 from schemas.driving.features import Array
 from schemas.runtime.process import ConfigError
 
 
 class BlindPolicy:
-    """The shipped network that sees the ego alone."""
+    """A driver that sees the ego alone."""
 
-    def __init__(self) -> None:
-        self._policy = load_attention()
+    def __init__(self, policy: Policy) -> None:
+        self._policy = policy
 
     def logits(self, x: Array) -> Array:
         """See `Policy.logits`."""
@@ -25,10 +26,10 @@ class BlindPolicy:
 
 
 class DeafPolicy:
-    """The shipped network that is not told what is wished."""
+    """A driver that is not told what is wished."""
 
-    def __init__(self) -> None:
-        self._policy = load_attention()
+    def __init__(self, policy: Policy) -> None:
+        self._policy = policy
 
     def logits(self, x: Array) -> Array:
         """See `Policy.logits`."""

@@ -1,22 +1,17 @@
-"""The shipped driver: a network for the road, and a choice of gap where a lane must be reached before its own lane, or
-the task, ends.
+"""The choice of a gap, where a lane must be reached before the ego's own lane, or the task, ends.
 
 There each of `plans` is tried out on paper, and the ego goes for the speed of the plan that costs least: a weighted sum
-of what is known of it (`DESCRIBED`). Before a lane's end the weights are learnt, from the ride score of whole episodes
-(`fast_node.training.plan_weights`); before the end of a task they are `BY_HAND`, since learning has found none that
-are better. When to change lanes the rule says then; everywhere else the network decides. The mask has the last word, as
-over every policy.
+of what is known of it (`GAPS`). Before a lane's end the weights are learnt, from the ride score of whole episodes
+(`fast_node.training.plan_weights`); before the end of a task they are those by hand, since learning has found none that
+are better. When to change lanes the rule says then; everywhere else the base policy decides. The mask has the last
+word, as over every policy.
 
 Axes: ... any batch axes, B scenes, P plans.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import msgspec
 import numpy as np
-from msgspec import Struct
 
 from fast_node.policies.plans import (
     LEFT_MOST_M,
@@ -34,49 +29,25 @@ from fast_node.policies.plans import (
 )
 from fast_node.policies.policy import Policy
 from fast_node.policies.rule import rule_logits
+from fast_node.policies.weights import CHECKPOINTS, EXACT_MPS, RIGHT_MPS, Described
 from schemas.driving import features as f
-from schemas.runtime.process import ConfigError
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 
-DESCRIBED = ("open", "never", "lost", "turn", "up", "wished", "present", "left", "spare", "ahead", "behind", "slower")
+GAPS = Described(
+    names=("open", "never", "lost", "turn", "up", "wished", "present", "left", "spare", "ahead", "behind", "slower"),
+    by_hand={"open": 10.0, "lost": 10.0, "turn": 1.5, "wished": -0.2},
+    shipped=CHECKPOINTS / "gaps.json",
+    command="make gaps",
+)
 """Of each plan: open_s / 10, or whether it never opens; lost_m / 50; by how much the set-point has to change, and to
 rise, / 5; whether it is the wished speed, or the present one; left_m / 300; spare_m / 20; whether it is a car ahead of
-the ego, or behind it, that is fallen in behind; by how much it is slower than wished, / 10."""
-BY_HAND = dict.fromkeys(DESCRIBED, 0.0) | {"open": 10.0, "lost": 10.0, "turn": 1.5, "wished": -0.2}
-"""In seconds: a metre that is lost counts 0.2, and a change of speed 0.3 for each m/s; another plan than the wished
-speed must be better by 0.2."""
-SHIPPED_WEIGHTS = Path(__file__).parents[1] / "checkpoints" / "plans.json"
-RIGHT_MPS, EXACT_MPS = 0.3, 0.05
-"""A set-point that is off by less is right: a decision moves it by half a metre a second, and more would be flutter;
-but the wished speed, at which it stops, is reached."""
-
-
-class _File(Struct, frozen=True):
-    weights: dict[str, float]
-
-
-def read_weights(path: Path = SHIPPED_WEIGHTS) -> Array:
-    """The weights of `DESCRIBED` in a file of `fast_node.training.plan_weights`. Raises `ConfigError`."""
-    try:
-        found = msgspec.json.decode(path.read_bytes(), type=_File).weights
-    except (OSError, msgspec.MsgspecError) as error:
-        why = (error.strerror if isinstance(error, OSError) else None) or str(error)
-        raise ConfigError(f"{path} holds no weights of plans: {why}; `make plans` writes such a file") from None
-    if set(found) != set(DESCRIBED):
-        raise ConfigError(
-            f"{path} holds no weights of plans: it weighs {', '.join(found)}, not {', '.join(DESCRIBED)}; "
-            "`make plans` writes such a file"
-        )
-    return in_order(found)
-
-
-def in_order(weights: dict[str, float]) -> Array:
-    """As numbers in the order of `DESCRIBED`."""
-    return np.array([weights[name] for name in DESCRIBED], np.float32)
+the ego, or behind it, that is fallen in behind; by how much it is slower than wished, / 10. By hand, in seconds: a
+metre that is lost counts 0.2, and a change of speed 0.3 for each m/s; another plan than the wished speed must be better
+by 0.2."""
 
 
 def described(known: Plans) -> Array:
-    """(B, P, len(DESCRIBED)) what is known of every plan, in numbers of about 1."""
+    """(B, P, D) what is known of every plan, in numbers of about 1."""
     opens = known.open_s < NEVER_S
     turn = known.speed - known.speed[:, PRESENT, None]
     plan = np.arange(PLANS)
@@ -99,10 +70,10 @@ def described(known: Plans) -> Array:
 
 
 def best_of(known: Plans, weights: Array | None = None) -> Array:
-    """(B,) the speed to go for now [m/s], by weights (D,) of `DESCRIBED`; None: by hand, which is the wished speed
+    """(B,) the speed to go for now [m/s], by weights (D,) of `GAPS`; None: by hand, which is the wished speed
     where no plan gets there."""
     by_hand = weights is None
-    cost = described(known) @ (in_order(BY_HAND) if weights is None else weights)
+    cost = described(known) @ (GAPS.in_order(GAPS.by_hand) if weights is None else weights)
     cost = np.where(known.there & ((known.open_s < NEVER_S) | (not by_hand)), cost, np.inf)
     best: Array = known.speed[np.arange(len(cost)), cost.argmin(1)]
     return best
@@ -123,7 +94,7 @@ class GapPolicy:
     """A base policy, and a choice of gap where a lane is to be entered."""
 
     def __init__(self, base: Policy, weights: Array | None = None) -> None:
-        """weights: (D,) of `DESCRIBED`, where the own lane ends; None: by hand there, too."""
+        """weights: (D,) of `GAPS`, where the own lane ends; None: by hand there, too."""
         self._base, self._weights = base, weights
 
     def logits(self, x: Array) -> Array:

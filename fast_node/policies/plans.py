@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fast_node.policies.on_paper import SLOWEST_MPS, STANDSTILL_M, acceleration, set_point
 from schemas.driving import features as f
 
 Array = NDArray[np.float32]
@@ -28,22 +29,16 @@ MOMENTS = np.concatenate([[0.0], np.cumsum(STEPS)[:-1]]).astype(np.float32)
 NEVER_S = 42.0
 ABOUT_M = 120.0
 """The speed of a lane is that of the cars in it so near to the ego."""
-ACCEL_MPS2 = 1.5
-SLOWEST_MPS = 3.0
-SPARE_MPS = 0.3
-"""A falling set-point is no more than this above the speed."""
+BRAKES_MPS2 = 2.0
 GAP_S, GAP_M, GAIN_PER_S = 1.1, 3.0, 0.25
 CATCH_UP_MPS, DROP_BACK_MPS = 4.0, 8.0
 """A car is fallen in behind with `GAP_S` and `GAP_M`, at most so much faster or slower than it."""
-MARGIN_M = 15.0
-"""A change must begin so long before where the task ends."""
+MARGIN_M, RESERVE_M = 15.0, 300.0
+"""A change must begin so long before where the task ends; and so much more for each lane to be crossed after it."""
 BEFORE_END_M, BEFORE_END_S = 12.0, 2.0
 """... and where one of the two lanes ends: see `mask.entering`."""
 LEFT_MOST_M, SPARE_MOST_M = 300.0, 20.0
 """More road left, or more room to spare, than this is as good."""
-STANDSTILL_M = 2.5
-NEAREST = (6.0 - 2.5) ** 2
-"""Too near to a leader the ego is 2.5 m/s slower than it, as `choice.closing_mps` has it."""
 
 
 class Plans(NamedTuple):
@@ -101,7 +96,9 @@ def plans(x: Array, side: NDArray[np.int64]) -> Plans:
     way, speed = _courses(v, wished, held, target, car, lead_at, lead_mps, lead_half, headway)
     spare = _spare(way, speed, there, at, mps, half, np.minimum(headway, 1.0))
     lane_left = 100.0 * np.minimum(own[:, f.AIM_ENDS], own[:, f.ENDS])[:, None, None] - BEFORE_END_M
-    left = np.minimum(100.0 * own[:, f.GOAL_LEFT, None, None] - MARGIN_M, lane_left - BEFORE_END_S * speed) - way
+    after = np.maximum(np.abs(own[:, f.LANE_OFF]) - 1.0, 0.0)
+    task_left = (100.0 * own[:, f.GOAL_LEFT] - MARGIN_M - RESERVE_M * after)[:, None, None]
+    left = np.minimum(task_left, lane_left - BEFORE_END_S * speed) - way
     fits = (spare >= 0.0) & (left >= 0.0) & (way >= 100.0 * own[:, f.OPENS, None, None]) & exists[..., None]
     first, some = fits.argmax(-1), fits.any(-1)
 
@@ -161,8 +158,7 @@ def _courses(
     lead_half: Array,
     headway: Array,
 ) -> tuple[Array, Array]:
-    """(B, P, K) where the ego would be, and how fast: as the executor steps its set-point and follows it, and as
-    `choice.comfortable_mps` keeps it behind its leader.
+    """(B, P, K) where the ego would be, and how fast.
 
     held: (B,) the set-point; target: (B, P) the speeds of the plans that have one; car: (B, ranks) where each of the
     others wants to be now, and how fast that place moves.
@@ -180,11 +176,8 @@ def _courses(
         ways[..., k], speeds[..., k] = way, speed
         off = np.minimum(np.maximum(GAIN_PER_S * (places[..., k] - way[:, SPEEDS:]), -DROP_BACK_MPS), CATCH_UP_MPS)
         goal[:, SPEEDS:] = np.minimum(np.maximum(car_mps + off, SLOWEST_MPS), most)
-        step = ACCEL_MPS2 * dt
-        down = np.maximum(goal, np.minimum(point, speed + SPARE_MPS) - step)
-        point = np.where(point < goal, np.minimum(goal, point + step), down)
-        admitted = lead + np.sqrt(np.maximum(3.0 * (stops[..., k] - way) + 36.0, NEAREST)) - 6.0
-        accel = np.minimum(np.maximum(np.minimum(point, admitted) - speed, -2.0), 1.8)
+        point = set_point(point, goal, speed, dt)
+        accel = acceleration(point, speed, lead, stops[..., k] - way, BRAKES_MPS2)
         speed = np.maximum(speed + accel * dt, 0.0)
         way = way + speed * dt
     return ways, speeds

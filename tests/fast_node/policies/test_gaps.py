@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from fast_node.choice import narrow
 from fast_node.mask import OPEN, close_actions
 from fast_node.mask.entering import CREEP_MPS
-from fast_node.policies.gaps import DESCRIBED, GapPolicy, best_of, described, in_order
+from fast_node.policies.gaps import GAPS, GapPolicy, best_of, described
 from fast_node.policies.load import load_policy
 from fast_node.policies.plans import NEVER_S, PLANS, PRESENT, SPARE_MOST_M, SPEEDS, plans, to_enter
 from fast_node.policies.rule import RulePolicy, rule_logits
@@ -71,6 +71,12 @@ def test_a_change_is_not_planned_beyond_the_end_of_the_own_lane() -> None:
     assert never.left_m[0, PRESENT] == never.spare_m[0, PRESENT] == 0.0
 
 
+def test_road_is_kept_for_the_lanes_that_are_to_be_crossed_after_the_next() -> None:
+    one, two = (plans(scene(aim=aim, goal_m=500.0), np.array([1])).left_m[0, PRESENT] for aim in (1, 2))
+    assert one == 300.0  # more is as good
+    assert two == pytest.approx(500.0 - 15.0 - 300.0)
+
+
 def test_the_room_to_spare_is_what_is_left_of_the_gap() -> None:
     near, far = (plans(scene(car(1, gap, 1, V)), np.array([1])).spare_m[0, PRESENT] for gap in (35.0, 42.0))
     assert far - near == pytest.approx(7.0, abs=1e-3)
@@ -79,7 +85,7 @@ def test_the_room_to_spare_is_what_is_left_of_the_gap() -> None:
 
 def test_every_plan_is_described_in_numbers_of_about_one() -> None:
     known = plans(scene(car(1, 50.0, 1, V), ends=400.0), np.array([1]))
-    plan = dict(zip(DESCRIBED, described(known)[0, 0].tolist(), strict=True))
+    plan = dict(zip(GAPS.names, described(known)[0, 0].tolist(), strict=True))
     assert plan == pytest.approx(
         {
             "open": known.open_s[0, 0] / 10.0,
@@ -99,7 +105,7 @@ def test_every_plan_is_described_in_numbers_of_about_one() -> None:
 
 
 def test_learnt_weights_count_before_a_lanes_end_and_those_by_hand_before_the_tasks() -> None:
-    slowest = in_order(dict.fromkeys(DESCRIBED, 0.0) | {"slower": -1.0})
+    slowest = GAPS.in_order({"slower": -1.0})
     ours, by_hand = GapPolicy(RulePolicy(), slowest), GapPolicy(RulePolicy())
     ramp, task = scene(ends=400.0), scene()
     assert ours.logits(ramp)[0, MetaAction.SLOW_DOWN] > by_hand.logits(ramp)[0, MetaAction.SLOW_DOWN]
@@ -119,7 +125,7 @@ def test_a_file_that_holds_no_weights_is_refused_with_the_fix(tmp_path: Path, co
     path = tmp_path / "plans.json"
     if content is not None:
         path.write_text(content)
-    with pytest.raises(ConfigError, match=f"(?s){told}.*make plans"):
+    with pytest.raises(ConfigError, match=f"(?s){told}.*make gaps"):
         load_policy(f"gaps:{path}")
 
 
@@ -211,8 +217,9 @@ def test_elsewhere_the_base_decides() -> None:
     np.testing.assert_array_equal(GapPolicy(RulePolicy()).logits(x), rule_logits(x))
 
 
-def test_the_shipped_driver_is_the_network_with_a_choice_of_gap() -> None:
-    calm, choice = scene(*queue(60.0), aim=0), scene(*queue(75.0))
+def test_the_shipped_driver_asks_the_network_where_a_lane_is_borrowed_and_chooses_elsewhere() -> None:
+    borrowed, in_lane, to_enter_one = scene(*queue(60.0), borrows=True), scene(aim=0), scene(*queue(75.0))
     ours, network = load_policy(), load_policy("network")
-    np.testing.assert_array_equal(ours.logits(calm), network.logits(calm))
-    assert not np.array_equal(ours.logits(choice), network.logits(choice))
+    np.testing.assert_array_equal(ours.logits(borrowed), network.logits(borrowed))
+    for choice in (in_lane, to_enter_one):
+        assert not np.array_equal(ours.logits(choice), network.logits(choice))

@@ -17,7 +17,7 @@ from deploy.lab.lockstep import Episode, overtake_at, run_episode
 from fast_node.__main__ import nodes_of, warm_up
 from fast_node.config import FastConfig
 from fast_node.node import FastNode
-from fast_node.policies.load import BUILT_IN, load_policy
+from fast_node.policies.load import BUILT_IN, files_of, load_policy
 from fast_node.policies.mlp import shipped
 from fast_node.policies.outsider import DeadlinePolicy
 from fast_node.policies.plans import to_enter
@@ -209,7 +209,7 @@ def test_an_outsider_that_cannot_drive_is_refused_in_one_line(outsider: Outsider
 
 @pytest.mark.parametrize("spec", ["nobody", "", "rule:", "rule:1", "constant", ":load", "mine:"])
 def test_an_unknown_name_is_refused_with_those_that_there_are(spec: str) -> None:
-    with pytest.raises(ConfigError, match=r"cruise|fastslow, network, gaps"):
+    with pytest.raises(ConfigError, match=r"cruise|fastslow, network, courses"):
         load_policy(spec)
 
 
@@ -259,8 +259,17 @@ def test_a_checkpoints_path_drives_whatever_learnt_it() -> None:
 def test_no_policy_of_ours_imports_torch() -> None:
     asked = (
         "import sys, fast_node.__main__ as main\n"
-        "from fast_node.policies.load import BUILT_IN, load_policy\n"
+        "from fast_node.policies.load import BUILT_IN, files_of, load_policy\n"
         "for name in BUILT_IN: load_policy(name + (':left' if name == 'constant' else ''))\n"
         "assert 'torch' not in sys.modules"
     )
     assert subprocess.run([sys.executable, "-c", asked], cwd=ROOT, timeout=120).returncode == 0
+
+
+def test_every_file_that_a_policy_is_read_from_is_known(tmp_path: Path) -> None:
+    weights = tmp_path / "courses.json"
+    assert [file.name for file in files_of()] == ["fastslow.safetensors", "courses.json", "gaps.json"]
+    assert files_of(f"courses:{weights}")[1] == weights
+    assert [file.name for file in files_of("ppo-masked")] == ["ppo-masked.safetensors"]
+    assert files_of("rule") == files_of("random:1") == files_of("mine:factory") == ()
+    assert files_of("runs/mine.safetensors") == (Path("runs/mine.safetensors"),)
