@@ -33,12 +33,12 @@ run: setup
 say: setup
 	@$(BIN)/fastslow say $(ARGS) -- "$$TEXT"
 
-# Two at a time but for the real-time ones, which get the machine to themselves. Exit code 5: ARGS name none of these.
+# The real-time ones one after the other; beside them all others, two at a time, in the time that these leave.
 test: setup-dev
-	$(BIN)/python -m pytest -n 2 --dist loadfile --realtime=without $(ARGS) || [ $$? -eq 5 ]
-	$(BIN)/python -m pytest --realtime=alone $(ARGS) || [ $$? -eq 5 ]
+	$(BIN)/python -m tests.suite $(ARGS)
 
-# All of it, with the real-time tests that take their time: some 25 minutes.
+# All of it, with the real-time tests that take their time, which get the machine to themselves: some 25 minutes.
+# Exit code 5: ARGS name none of these.
 test-all: setup-dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile --realtime=without $(ARGS) || [ $$? -eq 5 ]
 	$(BIN)/python -m pytest --realtime=all $(ARGS) || [ $$? -eq 5 ]

@@ -237,7 +237,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
             self.tick(meta)
             table = self.rows().tolist()
             self._wishes.update(table)
-            intent = self.intent
+            intent, over = self.intent, self.ending()
             ttc, short = closeness(table, ego.target_lane, intent.headway_s)
             decision.tick(
                 np.array([meta]),
@@ -246,9 +246,9 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
                 np.array([ttc]),
                 np.array([short]),
                 np.array([intent.lane in (ANY_LANE, ego.target_lane)]),
-                np.array([int(self.ending())]),
+                np.array([int(over)]),
             )
-            if self.ending() != Ending.NONE:
+            if over != Ending.NONE:
                 break
         worth = float(
             decision.earned(
@@ -258,7 +258,7 @@ class ScenarioEnv(Accelerated, AbstractEnv):  # type: ignore[misc]
                 to_reach=bool(self.scenario.success.reach_lanes),
             )[0]
         )
-        terminated, truncated = self._is_terminated(), self._is_truncated()
+        terminated, truncated = self._flags()
         if not terminated and not truncated:
             self._wishes.follow(table, ego.target_lane, self._ticks_per_decision / self.hz)
         observation = self.observation_type.observe()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -27,6 +28,13 @@ SEARCH_FACTOR = 10
 def pytest_addoption(parser: pytest.Parser) -> None:
     choices = ("too", "without", "alone", "all")
     parser.addoption("--realtime", choices=choices, default="too", help="what becomes of the tests marked `realtime`")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Who wants none but real-time tests need not import the other files."""
+    if config.getoption("--realtime") not in ("alone", "all") or collection_path.suffix != ".py":
+        return None
+    return b"mark.realtime" not in collection_path.read_bytes() or None
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

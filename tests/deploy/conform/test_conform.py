@@ -20,6 +20,8 @@ from tests.running import ROOT
 PAGE = (Path(schemas.__file__).parent / "README.md").read_text()
 DRIVER, SIMULATOR = re.findall(r"```python\n(.*?)```", PAGE, re.S)
 CLIENT = '{"bus": {"mode": "client", "connect": ["tcp/127.0.0.1:{port}"]}}'
+EXAMPLES = {"--sim": SIMULATOR, "--driver": DRIVER}
+OURS = [("--sim", "sim_node"), ("--driver", "fast_node")]
 BROKEN: dict[str, tuple[dict[str, str], dict[str, str]]] = {
     # What is put for what in the page's simulator; and which duties do not hold any more, with a word of the reason.
     "stamps, ids, worlds, answers": (
@@ -99,20 +101,35 @@ def broken(code: str, changes: dict[str, str], path: Path) -> str:
     return str(path)
 
 
-@pytest.mark.realtime
-@pytest.mark.slow
-@pytest.mark.parametrize(("role", "code"), [("--sim", SIMULATOR), ("--driver", DRIVER)], ids=["simulator", "driver"])
-def test_the_page_s_example_keeps_every_duty(role: str, code: str, tmp_path: Path) -> None:
-    (tmp_path / "node.py").write_text(code)
-    code_, data, stderr = conform(role, "--budget-ms", "20", "--", sys.executable, str(tmp_path / "node.py"), "{port}")
-    assert (code_, wrong(data)) == (0, {}), stderr
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[int, dict[str, Any], str]]:
+    """What is said of the page's examples and of our own nodes, all tried at once: each waits for most of its time."""
+    folder = tmp_path_factory.mktemp("examples")
+    tried: dict[str, tuple[str, ...]] = {
+        module: (role, "--", sys.executable, "-m", module, CLIENT) for role, module in OURS
+    }
+    for role, code in EXAMPLES.items():
+        (script := folder / f"{role.strip('-')}.py").write_text(code)
+        tried[role] = (role, "--budget-ms", "20", "--", sys.executable, str(script), "{port}")
+    with ThreadPoolExecutor(len(tried)) as pool:
+        return dict(zip(tried, pool.map(lambda words: conform(*words), tried.values()), strict=True))
 
 
 @pytest.mark.realtime
 @pytest.mark.slow
-@pytest.mark.parametrize(("role", "module"), [("--sim", "sim_node"), ("--driver", "fast_node")])
-def test_our_own_node_keeps_every_duty(role: str, module: str) -> None:
-    code, data, stderr = conform(role, "--", sys.executable, "-m", module, CLIENT)
+@pytest.mark.parametrize("role", EXAMPLES, ids=["simulator", "driver"])
+def test_the_page_s_example_keeps_every_duty(role: str, judged: dict[str, tuple[int, dict[str, Any], str]]) -> None:
+    code, data, stderr = judged[role]
+    assert (code, wrong(data)) == (0, {}), stderr
+
+
+@pytest.mark.realtime
+@pytest.mark.slow
+@pytest.mark.parametrize(("role", "module"), OURS)
+def test_our_own_node_keeps_every_duty(
+    role: str, module: str, judged: dict[str, tuple[int, dict[str, Any], str]]
+) -> None:
+    code, data, stderr = judged[module]
     assert (code, wrong(data)) == (0, {}), stderr
 
 

@@ -168,23 +168,35 @@ def test_a_training_that_is_run_elsewhere_brings_the_policy_home_that_it_would_b
 # With Ray
 
 
-@pytest.fixture
-def two_nodes(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """A cluster of two nodes on loopback, each with room for one task; this process has joined it."""
-    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    monkeypatch.setenv("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # loopback is good enough
-    ray = pytest.importorskip("ray")
-    from ray.cluster_utils import Cluster
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    """A node on loopback, with room for one task."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        patch.setenv("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # loopback is good enough; read where Ray is imported
+        pytest.importorskip("ray")
+        from ray.cluster_utils import Cluster
 
-    node = {"num_cpus": 1, "node_ip_address": "127.0.0.1", "include_dashboard": False}
-    cluster = Cluster(initialize_head=True, head_node_args=node)
-    try:
+        node = {"num_cpus": 1, "node_ip_address": "127.0.0.1", "include_dashboard": False}
+        cluster = Cluster(initialize_head=True, head_node_args=node)
+        try:
+            yield cluster
+        finally:
+            cluster.shutdown()
+
+
+@pytest.fixture
+def two_nodes(cluster: Any) -> Iterator[Any]:
+    """The cluster with a second node like the first; this process has joined it."""
+    import ray
+
+    if not cluster.worker_nodes:
         cluster.add_node(num_cpus=1, node_ip_address="127.0.0.1")
+    try:
         ray.init(address=cluster.address, log_to_driver=False)
         yield cluster
     finally:
         ray.shutdown()
-        cluster.shutdown()
 
 
 @pytest.mark.slow
@@ -207,7 +219,7 @@ def test_a_study_on_a_cluster_is_the_study_at_home_with_its_policies(two_nodes: 
     todo = study_cells.cells_of(["ours"], ["two-way"], [0, 1], 1024, 2)
     away, home = (
         run_cells(todo, tmp_path / name, farm)
-        for name, farm in (("away", Farm(ray=two_nodes.address)), ("home", Farm(jobs=1)))
+        for name, farm in (("away", Farm(ray=two_nodes.address)), ("home", Farm()))
     )
     for result in away + home:
         del result["cpu_s"]

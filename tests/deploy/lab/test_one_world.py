@@ -61,8 +61,8 @@ class Pair:
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_the_environment_is_the_training_world_decision_by_decision(name: str, masked: bool, decision_hz: int) -> None:
-    endings = []
-    for seed in (1000, 1001, 1002):
+    endings, seeds = [], (1000, 1001, 1002) if decision_hz == 1 else (1000,)  # up to 600 decisions each
+    for seed in seeds:
         pair, rng = Pair(name, seed, masked=masked, decision_hz=decision_hz), np.random.default_rng(seed)
         while True:
             ours, theirs = pair.env.observation_type.observe(), pair.scenes.observe()[0]
@@ -74,7 +74,7 @@ def test_the_environment_is_the_training_world_decision_by_decision(name: str, m
             if ours[1] or ours[2]:
                 endings.append(pair.env.ending())
                 break
-    assert len(endings) == 3
+    assert len(endings) == len(seeds)
     if masked:
         assert Ending.COLLISION not in endings
 

@@ -10,7 +10,7 @@ from sim_node.scenarios import SCENARIOS
 
 
 def test_the_best_order_on_an_empty_road_prefers_to_speed_up() -> None:
-    empty = replace(SCENARIOS["highway"], flows=(), duration_s=10.0)
+    empty = replace(SCENARIOS["highway"], flows=(), duration_s=4.0)
     order = best_order(empty, range(900_000, 900_001)).removeprefix("constant:").split(",")
     assert sorted(order) == sorted(WORDS)
     assert order.index("faster") < order.index("cruise")

@@ -10,6 +10,7 @@ import pytest
 
 from deploy.lab import plan_learning
 from deploy.lab.plan_learning import SUBJECTS, Road, learn, worth
+from fast_node.training import plan_weights
 from fast_node.training.plan_weights import Search
 
 SHORT = (Road("merge", 2),)
@@ -22,6 +23,7 @@ def test_a_generation_leaves_weights_that_drive_and_the_next_goes_on(
     subject = SUBJECTS[what]
     begun = Search(subject.start, subject.widths)
     monkeypatch.setitem(plan_learning.SUBJECTS, what, replace(subject, roads=SHORT))
+    monkeypatch.setattr(plan_weights, "CANDIDATES", 4)
     path = tmp_path / "runs" / "weights.json"
     learn(what, path, 1, 0)
     after_one = begun.resume(path)

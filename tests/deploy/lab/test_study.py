@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -139,44 +140,54 @@ def progress_of(out: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_a_resumed_training_goes_on_where_it_was_saved_and_says_so(tmp_path: Path) -> None:
-    out = tmp_path / "p.safetensors"
-    train_policy(out, ["two-way"], 1024, 0)
-    train_policy(out, ["two-way"], 2048, 0, resume=True)
-    sidecar = json.loads(out.with_suffix(".json").read_text())
+@pytest.fixture(scope="module")
+def once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a training of a moment."""
+    folder = tmp_path_factory.mktemp("trained")
+    train_policy(folder / "p.safetensors", ["two-way"], 1024, 0)
+    return folder
+
+
+@pytest.fixture
+def trained(once: Path, tmp_path: Path) -> Path:
+    """Its policy, with all that lies beside it, for one test to change."""
+    shutil.copytree(once, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "p.safetensors"
+
+
+def test_a_resumed_training_goes_on_where_it_was_saved_and_says_so(trained: Path) -> None:
+    train_policy(trained, ["two-way"], 2048, 0, resume=True)
+    sidecar = json.loads(trained.with_suffix(".json").read_text())
     assert (sidecar["steps"], sidecar["resumed_at"]) == (2048, [1024])
-    assert [row["global_step"] for row in progress_of(out)] == ["1024", "2048"]
+    assert [row["global_step"] for row in progress_of(trained)] == ["1024", "2048"]
 
 
-def test_a_training_that_starts_from_another_begins_with_its_network_and_says_so(tmp_path: Path) -> None:
-    first, then = tmp_path / "first.safetensors", tmp_path / "then.safetensors"
-    train_policy(first, ["two-way"], 1024, 0)
-    train_policy(then, ["merge"], 1024, 7, lr=1e-30, start=first)  # too little to change a weight
-    assert then.read_bytes() == first.read_bytes()
+def test_a_training_that_starts_from_another_begins_with_its_network_and_says_so(trained: Path) -> None:
+    then = trained.with_name("then.safetensors")
+    train_policy(then, ["merge"], 1024, 7, lr=1e-30, start=trained)  # too little to change a weight
+    assert then.read_bytes() == trained.read_bytes()
     start = json.loads(then.with_suffix(".json").read_text())["start"]
     assert (start["steps"], start["seed"], start["scenarios"]) == (1024, 0, ["two-way"])
 
 
-def test_a_started_training_can_be_resumed(tmp_path: Path) -> None:
-    first, then = tmp_path / "first.safetensors", tmp_path / "then.safetensors"
-    train_policy(first, ["two-way"], 1024, 0)
-    train_policy(then, ["merge"], 1024, 0, start=first)
+def test_a_started_training_can_be_resumed(trained: Path) -> None:
+    then = trained.with_name("then.safetensors")
+    train_policy(then, ["merge"], 1024, 0, start=trained)
     train_policy(then, ["merge"], 2048, 0, resume=True)
     assert json.loads(then.with_suffix(".json").read_text())["start"]["scenarios"] == ["two-way"]
 
 
-def test_a_training_does_not_start_from_a_policy_without_its_state_or_of_another_mask(tmp_path: Path) -> None:
+def test_a_training_does_not_start_from_a_policy_without_its_state_or_of_another_mask(trained: Path) -> None:
     import torch
 
-    first, then = tmp_path / "first.safetensors", tmp_path / "then.safetensors"
-    with pytest.raises(ConfigError, match=r"no first\.train\.pt.*--start"):
-        train_policy(then, ["merge"], 1024, 0, start=first)
-    train_policy(first, ["two-way"], 1024, 0)
-    state = saved_state(first)
+    none, then = trained.with_name("none.safetensors"), trained.with_name("then.safetensors")
+    with pytest.raises(ConfigError, match=r"no none\.train\.pt.*--start"):
+        train_policy(then, ["merge"], 1024, 0, start=none)
+    state = saved_state(trained)
     state["run"]["mask"] = "mask/0"
-    torch.save(state, first.with_suffix(".train.pt"))
+    torch.save(state, trained.with_suffix(".train.pt"))
     with pytest.raises(ConfigError, match=r"mask/0.*train it anew"):
-        train_policy(then, ["merge"], 1024, 0, start=first)
+        train_policy(then, ["merge"], 1024, 0, start=trained)
 
 
 @pytest.mark.parametrize(
@@ -193,20 +204,16 @@ def test_options_of_a_training_that_exclude_each_other_are_a_usage_error(given: 
     assert (result.exit_code, f"'{named}'" in result.stderr) == (2, True)
 
 
-def test_every_update_is_logged_under_cleanrls_names(tmp_path: Path) -> None:
-    out = tmp_path / "p.safetensors"
-    train_policy(out, ["two-way"], 1024, 0)
-    rows = progress_of(out)
+def test_every_update_is_logged_under_cleanrls_names(trained: Path) -> None:
+    rows = progress_of(trained)
     assert rows[0].keys() >= CLEANRL | {"global_step"}
     events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-    board = events.EventAccumulator(str(out.with_suffix(".tensorboard"))).Reload()
+    board = events.EventAccumulator(str(trained.with_suffix(".tensorboard"))).Reload()
     assert set(board.Tags()["scalars"]) >= CLEANRL
 
 
-def test_a_sidecar_tells_all_that_its_training_depended_on(tmp_path: Path) -> None:
-    out = tmp_path / "p.safetensors"
-    train_policy(out, ["two-way"], 1024, 0)
-    sidecar = json.loads(out.with_suffix(".json").read_text())
+def test_a_sidecar_tells_all_that_its_training_depended_on(trained: Path) -> None:
+    sidecar = json.loads(trained.with_suffix(".json").read_text())
     assert sidecar.keys() == {
         "algorithm",
         "features",
@@ -232,27 +239,23 @@ def test_a_sidecar_tells_all_that_its_training_depended_on(tmp_path: Path) -> No
     assert (sidecar["rollout"], sidecar["scenes"], sidecar["reward"]["crash"]) == (16, [64], -10.0)
 
 
-def test_a_state_from_before_masks_and_features_were_noted_is_refused_with_the_fix(tmp_path: Path) -> None:
+def test_a_state_from_before_masks_and_features_were_noted_is_refused_with_the_fix(trained: Path) -> None:
     import torch
 
-    out = tmp_path / "p.safetensors"
-    train_policy(out, ["two-way"], 1024, 0)
-    state = saved_state(out)
+    state = saved_state(trained)
     del state["run"]["layout_hash"], state["run"]["mask"]
-    torch.save(state, out.with_suffix(".train.pt"))
+    torch.save(state, trained.with_suffix(".train.pt"))
     with pytest.raises(ConfigError, match=r"mask None.*layout_hash None.*train anew"):
-        train_policy(out, ["two-way"], 2048, 0, resume=True)
+        train_policy(trained, ["two-way"], 2048, 0, resume=True)
 
 
-def test_a_training_is_not_resumed_from_nothing_nor_as_another(tmp_path: Path) -> None:
-    out = tmp_path / "p.safetensors"
+def test_a_training_is_not_resumed_from_nothing_nor_as_another(trained: Path) -> None:
     with pytest.raises(ConfigError, match="without --resume"):
-        train_policy(out, ["two-way"], 1024, 0, resume=True)
-    train_policy(out, ["two-way"], 1024, 0)
+        train_policy(trained.with_name("none.safetensors"), ["two-way"], 1024, 0, resume=True)
     with pytest.raises(ConfigError, match="train anew"):
-        train_policy(out, ["two-way"], 2048, 1, resume=True)
+        train_policy(trained, ["two-way"], 2048, 1, resume=True)
     with pytest.raises(ConfigError, match="--steps"):
-        train_policy(out, ["two-way"], 1024, 0, resume=True)
+        train_policy(trained, ["two-way"], 1024, 0, resume=True)
 
 
 def test_the_study_skips_finished_cells_and_not_those_of_other_settings(
@@ -265,29 +268,36 @@ def test_the_study_skips_finished_cells_and_not_those_of_other_settings(
     assert finished(Cell("ours", "masked", "two-way", 0, 512, 2), tmp_path) is None
 
 
-def test_a_cell_that_was_run_with_other_settings_of_the_baseline_is_run_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the cells of a baseline in both variants have been run."""
     pytest.importorskip("stable_baselines3")
+    folder = tmp_path_factory.mktemp("cells")
+    for cell in BASELINE.values():
+        run_cell(cell, folder)
+    return folder
+
+
+BASELINE = {variant: Cell("a2c", variant, "two-way", 0, 256, 2) for variant in ("bare", "masked")}
+
+
+def test_a_cell_that_was_run_with_other_settings_of_the_baseline_is_run_again(
+    done: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from fast_node.training import baselines
 
-    cell = Cell("a2c", "masked", "two-way", 0, 256, 2)
-    run_cell(cell, tmp_path)
-    assert finished(cell, tmp_path)
+    assert finished(BASELINE["masked"], done)
     monkeypatch.setitem(baselines.CHOSEN, "a2c", "gae")
-    assert finished(cell, tmp_path) is None
+    assert finished(BASELINE["masked"], done) is None
 
 
-@pytest.mark.parametrize("variant", ["bare", "masked"])
+@pytest.mark.parametrize("variant", BASELINE)
 def test_a_cell_of_another_version_of_the_mask_is_run_again_for_the_reward_depends_on_it_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str
+    done: Path, monkeypatch: pytest.MonkeyPatch, variant: str
 ) -> None:
-    pytest.importorskip("stable_baselines3")
-    cell = Cell("a2c", variant, "two-way", 0, 256, 2)
-    run_cell(cell, tmp_path)
-    assert finished(cell, tmp_path)
+    assert finished(BASELINE[variant], done)
     monkeypatch.setattr(cells, "MASK_VERSION", "mask/0")
-    assert finished(cell, tmp_path) is None
+    assert finished(BASELINE[variant], done) is None
 
 
 def test_the_search_tells_trials_apart_and_puts_the_one_that_earns_most_first() -> None:
