@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import signal
-from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -28,28 +30,45 @@ def hurried(prompt: str) -> str:
     return json.dumps({"reasoning": "in a hurry", "outcome": "directive", "speed": "faster", "overtake": True})
 
 
-@pytest.fixture(params=["embedded", "endpoint"])
-def model_env(request: pytest.FixtureRequest) -> Iterator[dict[str, str]]:
-    with model_of(request.param, hurried) as env:
-        yield env
+MODELS = ("embedded", "endpoint")
 
 
-@pytest.mark.timeout(120)
-def test_a_passenger_in_a_hurry_is_taken_past_the_slow_car_as_in_the_papers_case_study(tmp_path, model_env):
-    running = start(
-        tmp_path, "--scenario", "two-way-case", "--duration", "28", "--say", HURRY, "--say-at", "0.6", **model_env
-    )
-    out, _ = running.communicate(timeout=110)
-    summary = json.loads(out)
+@dataclass(frozen=True)
+class Ride:
+    """A run that is over."""
+
+    code: int
+    summary: dict[str, Any]
+    folder: Path
+
+
+@pytest.fixture(scope="module")
+def rides(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Ride]:
+    """The paper's case study with either model, both at the same time: they mostly wait."""
+    told = ("--scenario", "two-way-case", "--duration", "28", "--say", HURRY, "--say-at", "0.6")
+    folders = {kind: tmp_path_factory.mktemp(kind) for kind in MODELS}
+    with ExitStack() as stack:
+        running = {}
+        for kind, folder in folders.items():
+            running[kind] = start(folder, *told, **stack.enter_context(model_of(kind, hurried)))
+            stack.callback(running[kind].kill)
+        said = {kind: run.communicate(timeout=110)[0] for kind, run in running.items()}
+    return {kind: Ride(run.returncode, json.loads(said[kind]), folders[kind]) for kind, run in running.items()}
+
+
+@pytest.mark.timeout(150)
+@pytest.mark.parametrize("kind", MODELS)
+def test_a_passenger_in_a_hurry_is_taken_past_the_slow_car_as_in_the_papers_case_study(kind, rides):
+    summary, folder = rides[kind].summary, rides[kind].folder
     command = summary["commands"][0]
-    assert running.returncode == 0
+    assert rides[kind].code == 0
     assert (summary["collisions"], command["outcome"]) == (0, "fulfilled")
     assert command["heard_s"] <= command["issued_s"] <= command["fulfilled_s"]
     assert [lane["lane"] for lane in summary["lanes"] if lane["there"]] == [1, 0, 1]
     assert any(e["reason"] == "rear gap in lane" for e in summary["events"] if e["kind"] == "delayed")
-    kept = [file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()]
+    kept = [file.read_bytes() for file in folder.rglob("*") if file.is_file()]
     assert not any(SECRET.encode() in file for file in kept)
-    assert HURRY in next(tmp_path.glob(f"runs/*/{THOUGHTS}")).read_text("utf-8")
+    assert HURRY in next(folder.glob(f"runs/*/{THOUGHTS}")).read_text("utf-8")
 
 
 @pytest.mark.timeout(120)

@@ -51,7 +51,7 @@ def test_a_round_behind_a_late_one_counts_from_when_it_was_due(monkeypatch: pyte
 
 @contextmanager
 def two_peers(folder: Path, other: str) -> Iterator[PingPongs]:
-    with PingPongs(folder, ("floor", other), 512, 128, "off", patience_s=5.0) as peers:  # type: ignore[arg-type]
+    with PingPongs(folder, ("floor", other), 512, 128, "off") as peers:  # type: ignore[arg-type]
         yield peers
 
 

@@ -57,6 +57,7 @@ def test_two_simulators_on_one_bus_are_answered_by_their_own_fast_nodes(tmp_path
     assert point["misses"] < point["n"] / 2
 
 
+@pytest.mark.realtime
 def test_a_message_of_64_kib_is_lost_on_the_low_latency_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scale, "SIZES", (1024, 65_536))
     assert breaking_point(scale.sizes(tmp_path, "off", 10)) == {
