@@ -73,11 +73,11 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         low, high = r["success_ci95"]
         early = "" if r["return_early"] is None else f"{r['return_early']:.2f}"
         name = "ours" if r["algorithm"] == "ours" else f"{r['algorithm']} {r['variant']}"
-        half = "?" if r["return_half"] is None else f"{r['return_half']:.2f}"
+        half = "" if r["return_half"] is None else f" ± {r['return_half']:.2f}"
         lines.append(
             " ".join(
                 (
-                    f"| {r['scenario']} | {name} | {r['return']:.2f} ± {half} | {r['ours']} | {early}",
+                    f"| {r['scenario']} | {name} | {r['return']:.2f}{half} | {r['ours']} | {early}",
                     f"| {100 * r['success']:.1f} ({100 * low:.0f}-{100 * high:.0f})",
                     f"| {r['ego_fault_collisions']:.1f}, {r['struck_collisions']:.1f} | {r['avg_speed']:.2f}",
                     f"| {r['accel_var']:.2f} | {r['min_ttc_mean']:.1f} |",
