@@ -23,7 +23,7 @@ from sim_node.config import SimConfig
 from sim_node.node import SimNode
 from tests.running import ROOT
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.realtime, pytest.mark.slow]
 
 
 @contextmanager

@@ -60,11 +60,16 @@ def command(number: int, text: str = "please overtake") -> Command:
     return Command(epoch=0, stamp_ns=time.monotonic_ns(), id=number, text=text)
 
 
-def recorded(path: Path) -> list[int]:
-    """The numbers of the commands in a recording."""
+def commands(path: Path) -> list[Command]:
+    """Those in a recording."""
     if not path.exists() or not path.stat().st_size:
         return []
-    return [m.id for _, _, m in open_recording(path).messages({"command"}) if isinstance(m, Command)]
+    return [m for _, _, m in open_recording(path).messages({"command"}) if isinstance(m, Command)]
+
+
+def recorded(path: Path) -> list[int]:
+    """Their numbers."""
+    return [m.id for m in commands(path)]
 
 
 def said(bus: ZenohBus, path: Path) -> list[int]:
@@ -96,15 +101,14 @@ def test_a_killed_recorder_leaves_what_was_said_until_a_second_ago_and_its_succe
         until(lambda: any(status.node == NAME for status in statuses.take()))
         bus.publish(COMMAND, command(10_000))
         bus.publish_bytes(COMMAND, b"plain text")
-        until(lambda: 10_000 in recorded(path))
+        until(lambda: commands(path)[-1].text == "plain text")
         process.terminate()
         assert process.wait() == 0
     after = recorded(path)
     assert after[: len(before) + 1] == [*before, 10_000]
     recording = open_recording(path)
     assert (recording.finished, recording.metadata["seed"]) == (True, "3")
-    texts = [m.text for _, _, m in recording.messages({"command"}) if isinstance(m, Command)]
-    assert texts[-1] == "plain text"
+    assert commands(path)[-1].text == "plain text"
 
 
 def test_on_a_full_disk_the_recorder_says_so_once_and_lives_on_with_a_file_that_is_whole(router, tmp_path):
