@@ -7,6 +7,7 @@ until these are over: a tenth where both want it.
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -21,12 +22,14 @@ NO_TESTS = 5
 """pytest's exit code where the arguments name none of its tests."""
 
 
-def weigh(others: Launched, nice: int) -> None:
-    """Give all processes of the others this niceness, and their session among the sessions, if it is granted."""
+def weigh(others: Launched, more: int) -> None:
+    """Make all processes of the others so much nicer than this one, and their session than its, if it is granted."""
+    own = Path("/proc/self/autogroup")
     try:
-        os.setpriority(os.PRIO_PGRP, others.pid, nice)
-        Path(f"/proc/{others.pid}/autogroup").write_text(str(nice), encoding="ascii")
-    except OSError:  # they are over; or no autogroups, as on macOS; or only the superuser may raise it again
+        os.setpriority(os.PRIO_PGRP, others.pid, min(19, os.nice(0) + more))
+        group = min(19, int(own.read_text(encoding="ascii").rpartition(" ")[2]) + more)
+        Path(f"/proc/{others.pid}/autogroup").write_text(str(group), encoding="ascii")
+    except (OSError, ValueError):  # they are over; or no autogroups, as on macOS; or only the superuser may go back
         pass
 
 
@@ -45,11 +48,21 @@ def main(arguments: Sequence[str]) -> int:
         said = folder / "said"
         split = ("-n", "2", "--dist", "loadfile", "--realtime=without")
         others = launch("pytest", [*PYTEST, *split, *arguments], said, env=os.environ)
+        weigh(others, NICE)
+        alone = subprocess.Popen([*PYTEST, "--realtime=alone", *arguments])
+
+        def stop(*_: object) -> None:
+            alone.send_signal(signal.SIGINT)
+            raise KeyboardInterrupt
+
+        signal.signal(signal.SIGTERM, stop)
         try:
-            weigh(others, min(19, os.nice(0) + NICE))
-            code = subprocess.run([*PYTEST, "--realtime=alone", *arguments]).returncode
-            weigh(others, os.nice(0))  # as this process
+            code = alone.wait()
+            weigh(others, 0)
             follow(others)
+        except KeyboardInterrupt:  # the terminal has told it, too
+            alone.wait()
+            return 128 + signal.SIGINT
         finally:
             others.end()
     codes = {code, others.popen.returncode} - {NO_TESTS}
