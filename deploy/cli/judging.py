@@ -257,7 +257,8 @@ def interpret(
         typer.Option(
             "--set",
             metavar="NAME|FILE",
-            help="To score: dev, programs, dialogues, strangers, strangers-dialogues, a file like these (FILE.jsonl); "
+            help="To score: dev, programs, dialogues, strangers, strangers-dialogues, strangers-3, "
+            "strangers-3-dialogues, a file like these (FILE.jsonl); "
             "or an exam, which is not for choosing by: blind, strangers-2, strangers-2-dialogues.",
         ),
     ] = "dev",

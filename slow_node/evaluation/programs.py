@@ -27,11 +27,12 @@ PROGRAMS_SET: Final = Path(__file__).with_name("programs.jsonl")
 EXAMS: Final = {
     name: PROGRAMS_SET.with_name(f"{name}.jsonl")
     for name in (
-        "programs", "dialogues", "strangers", "strangers-dialogues", "strangers-2", "strangers-2-dialogues"
+        "programs", "dialogues", "strangers", "strangers-dialogues", "strangers-2", "strangers-2-dialogues",
+        "strangers-3", "strangers-3-dialogues"
     )
 }  # fmt: skip
 """By name. The strangers' were written by people who had read one page on what the car can do, and nothing else; their
-second has not been read by anybody who works on this."""
+second has not been read by anybody who works on this, their third has."""
 NEAR: Final = 0.03
 """A value may be off by this share of the label."""
 SPEED_MPS, HEADWAY_S, CHANGED_S = 0.35, 0.15, 0.05

@@ -60,6 +60,11 @@ _PLAYED = re.compile(
     r"(?:(?! (?:and|then|while|und|et|y|e|en) )[^.,;:!?]){0,30}$"
 )
 """What follows is what something is called: "play Crash Into Me"."""
+_WARNED = re.compile(
+    r"(?:watch out|look out|careful|beware|there'?s|vorsicht|achtung|pass auf|da (?:ist|kommt)|attention|il y a|cuidado|ojo|hay|attent[oi]|attenzione|occhio|c'e|atencao|ha|pas op|kijk uit|let op|er komt)"
+    r"[ ,:!]*(?:an? |eine? |der |une? |una |um |uma |een |de |la |voiture |macchina |auto |coche |carro |car |conducteur )*$"
+)
+"""A warning of somebody who does it."""
 _DONT_CARE = re.compile(r"\b(?:do ?n[o']?t|dont|no) (?:care|mind|bother|worry|brake|stop|slow)\b[^.,;:!?]{0,25}$")
 
 
@@ -72,6 +77,6 @@ def unsafe(command: str) -> bool:
 
 
 def _denied(before: str) -> bool:
-    if _TOLD.search(before) or _PLAYED.search(before):
+    if _TOLD.search(before) or _PLAYED.search(before) or _WARNED.search(before):
         return True
     return bool(_NEGATION.search(before)) and not _DONT_CARE.search(before)

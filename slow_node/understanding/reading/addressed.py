@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from slow_node.understanding.intent_parser import HEADS, IntentParser
-from slow_node.understanding.reading.lexicon import searchable
+from slow_node.understanding.reading.called import called
+from slow_node.understanding.reading.lexicon import rows, searchable
+from slow_node.understanding.reading.signs import sign
 from slow_node.understanding.text import fold
 
 HEAD = Path(__file__).parents[2] / "weights" / "talk.safetensors"
@@ -20,7 +22,7 @@ FOR_US, PERHAPS = 0.5, 0.1
 DANGEROUS, REFUSED = 0.85, HEADS["outcome"].index("refused")
 MOST_SENTENCES = 12
 """A longer text is read as a whole."""
-STRONG, WEAK, TALK, MANY_WORDS = 0.4, 0.3, 0.35, 9
+CLEARLY, STRONG, WEAK, TALK, MANY_WORDS = 0.75, 0.4, 0.3, 0.35, 9
 """How sure it is that a part asks for something, where it does and where it does not; of so many words on a sentence may
 hold talk between its commas."""
 CANCELS = 0.5
@@ -108,7 +110,8 @@ class Addressed:
         known: whether a sentence is for the car by its words alone.
         certain: whether it is so by itself, not as an answer to what was said before; None: as `known`.
         """
-        parts = [part for part in parts if not at_leisure(part)]
+        said = (self._without_tales(part, certain or known) for part in parts if not at_leisure(part))
+        parts = [part for part in said if part]
         if self._weight is None or not 2 <= len(parts) <= MOST_SENTENCES:
             return parts
         likely = [0.0 if _talk(part) else 1.0 if known(part) else self.probability(part) for part in parts]
@@ -121,6 +124,25 @@ class Addressed:
         if found:
             return parts[found[0] : found[-1] + 1]  # what is said between two of them belongs to them
         return [] if best < PERHAPS else [parts[likely.index(best)]]
+
+    def called(self, text: str, known: Callable[[str], bool]) -> str | None:
+        """What is said to the car by name in the middle of talk; None where that is all, or a danger may stand beside it."""
+        if self._weight is None:
+            return None
+        found = called(text, lambda part: 1.0 if known(part) else self._asks(part))
+        if found is None or any(self._parser.parse(part, 25.0, 33.0).refused >= DANGEROUS for part in found[1]):
+            return None
+        return found[0]
+
+    def _without_tales(self, sentence: str, known: Callable[[str], bool]) -> str:
+        """A sentence without what is only told; "" where that is all."""
+        if not _tells(sentence) or _SAID_TO_US.search(searchable(sentence)):
+            return sentence
+        parts = [part for part in _COMMAS.split(sentence) if re.search(r"\w", part) and not _tells(part)]
+        asks = [self._asks(part) for part in parts]
+        return ", ".join(
+            part for part, sure in zip(parts, asks, strict=True) if sure >= CLEARLY or (sure >= STRONG and known(part))
+        )
 
     def narrowed(self, text: str, known: Callable[[str], bool], harmful: bool) -> str:
         """The parts between commas that are for the car, where talk stands around them; else the whole text.
@@ -157,6 +179,20 @@ def at_leisure(sentence: str) -> bool:
         return True
     text = fold(sentence).strip(" ,.!?;:-\u2026\u00bf\u00a1")
     return _SMALL_TALK.search(text) is not None and not _OF_DRIVING.search(searchable(sentence))
+
+
+def _tells(sentence: str) -> bool:
+    """Whether a sentence tells of another day, a film, a game or others."""
+    text = searchable(sentence)
+    found = [row for row in rows("tales", "tells") if row.search(text) is not None]
+    return any(not row.fields.get("unless_sign") or sign(text) is None for row in found)
+
+
+_SAID_TO_US = re.compile(
+    r"^(?:and |und |et |y |e |en )?(?:drive|go|do|make|keep|take|set|be|slow|fahr|mach|halt|roule|fais|va|conduis|conduce|ve|haz|pon|guida|vai|fai|conduz|faz|rij|doe|maak|ga)\b|\b(?:please|bitte|s'il (?:te|vous) plait|por favor|per favore|per piacere|alsjeblieft|alstublieft|se faz favor|let's|lass uns|(?:we|you) (?:should|must|need to|have to)|i (?:want|need|would like)|"
+    r"i'd like|can (?:you|we)|could (?:you|we)|(?:you|are you|do you|did you|why|how come|warum|pourquoi|por ?que|perche|waarom)\b)"
+)
+"""In a sentence that is for the car, whatever else it tells."""
 
 
 def _talk(sentence: str) -> bool:

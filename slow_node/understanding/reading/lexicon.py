@@ -16,17 +16,17 @@ LANGUAGES = ("en", "de", "fr", "es", "it", "pt", "nl", "any")
 _WHO = {
     "ambulance": r"ambulan\w+|krankenwagen|rettungswagen|notarzt|fire engine|fire truck|feuerwehr\w*|pompiers|bomber\w+|"
     r"vigili del fuoco|brandweer\w*|emergency vehicle",
-    "police": r"police(?: car)?|cops?|polizei\w*|streifenwagen|gendarmes?|policia|polizia|carabinieri|politie\w*",
-    "truck": r"(?:big )?(?:trucks?|lorr(?:y|ies)|hgvs?|lkws?|laster|lastwagen|camion(?:es|s)?|camiao|caminh(?:ao|oes)|"
+    "police": r"(?:police|patrol)(?: (?:car|van|vehicle))?|squad car|cops?|polizei\w*|streifenwagen|gendarmes?|policia|polizia|carabinieri|politie\w*",
+    "truck": r"(?:big )?(?:(?:pick-?up |dump )?trucks?|lorr(?:y|ies)|hgvs?|lkws?|laster|lastwagen|camion(?:es|s)?|camiao|caminh(?:ao|oes)|"
     r"vrachtwagens?|vrachtauto|tankers?|juggernaut|semi)",
-    "bus": r"bus(?:es)?|autobus|onibus|autocarro|coach|reisebus|school bus|pullman",
-    "van": r"vans?(?! (?:de|het|die|dit|links|rechts|mij|ons|een|deze|hier|rijstrook|baan)\b)|transporter|lieferwagen|camionnettes?|fourgon|furgoneta|furgone|carrinha|bestelbus(?:je)?",
-    "motorcycle": r"motor(?:bikes?|cycles?|cyclist|rad|radfahrer)|(?<=die )motor|motos?|motas?|motards?|biker|motociclista|motorrijder",
+    "van": r"vans?(?! (?:de|het|die|dit|links|rechts|mij|ons|een|deze|hier|rijstrook|baan)\b)|transporter|lieferwagen|camionnettes?|fourgon|furgoneta|furgone|carrinha|bestelbus(?:je)?|busje",
+    "bus": r"(?:\w{3,8})?bus(?:es|se)?|autobus|onibus|autocarro|coach|reisebus|school bus|pullman|corriera|autocar|omnibus|minibus|micro(?=bus)|bussen",
+    "motorcycle": r"scooters?|mopeds?|vespa|motorini?o?|motorroller|ciclomotor|brommer|motor(?:bikes?|cycles?|cyclist|rad|radfahrer)|(?<=die )motor|motos?|motas?|motards?|biker|motociclista|motorrijder",
     "cyclist": r"cyclists?|bicycles?|(?:push)?bikes?|rad(?:ler|fahrer(?:in)?)|fahrrad(?:fahrer)?|cyclistes?|velos?|ciclistas?|"
     r"bicicletas?|bicicletta|fietsers?|fiets",
     "pedestrian": r"pedestrians?|people|fussganger\w*|pietons?|peaton(?:es)?|pedon[ei]|peao|peoes|pedestres?|voetgangers?|"
-    r"old (?:lady|man)|woman|man with a pram",
-    "child": r"child(?:ren)?|kids?|schoolchildren|kinder|(?<=das )kind|(?<=ein )kind|enfants?|ninos?|nina|bambin[oaie]|bimb[oaie]|"
+    r"(?:old|elderly) (?:lady|man|woman|gentleman|couple)|pensioners?|woman|man with a pram|rentner(?:in)?|vecchiett[oaie]|vieille dame|vieux monsieur|mamie|viejecit[oa]s?|ancian[oa]s?|abuelit[oa]s?|anzian[oaie]|velhinh[oa]s?|idos[oa]s?|oudere(?:n)?|omaatje",
+    "child": r"child(?:ren)?|kids?|schoolchildren|(?:schul)?kinder|schulkind|(?<=das )kind|(?<=ein )kind|enfants?|ninos?|nina|bambin[oaie]|bimb[oaie]|"
     r"criancas?|kinderen|(?<=een )kind",
     "deer": r"deer|rehe?|hirsche?|chevreuils?|biche|ciervos?|corzos?|caprioli?o?|cerv[oi]|veados?|hert(?:en)?|reeen|moose|elk",
     "animal": r"dogs?|cats?|ducks?|geese|horses?(?! ?-?(?:box|trailer|float|power))|cows?|sheep|ewes?|lambs?|fox(?:es)?|badgers?|hedgehogs?|(?:wild )?boars?|"
@@ -34,9 +34,9 @@ _WHO = {
     r"perros?|jabali(?:es)?|vacas?|caballos?|ovejas?|zorro|cani|cane|cinghial[ei]|mucc[ah]e?|cavall[oi]|pecor[ae]|"
     r"cao|caes|javalis?|cavalos?|ovelhas?|raposa|honden|hond|wilde zwijnen|koeien|paarden|paard|schapen",
     "caravan": r"caravans?|wohnwagen|wohnmobil|caravane|caravana|roulotte|camper|autocaravana",
-    "tractor": r"tractors?|traktor|trecker|tracteurs?|trattore|trator(?:es)?",
+    "tractor": r"tractors?|traktor|trecker|trekker|tracteurs?|trattore|trator(?:es)?",
     "car": r"cars?|vehicles?|taxi|auto|wagen|voiture|coche|macchina|carro|suv|limo|saloon|hatchback|estate|kombi|bmw|"
-    r"audi|mercedes|volkswagen|golf|tesla|toyota|porsche|(?<=that )one|(?<=this )one|(?<=the )one|guy|driver",
+    r"audi|mercedes|volkswagen|golf|tesla|toyota|porsche|nissan|ford|fiat|renault|peugeot|citroen|opel|seat(?= (?:ibiza|leon))|skoda|volvo|honda|mazda|kia|hyundai|jaguar|mustang|corsa|clio|fiesta|prius|cabrio|convertible|limousine|berline|berlina|(?<=that )one|(?<=this )one|(?<=the )one|guy|driver",
 }
 OBJECTS = tuple(_WHO)
 """Whom a step or a trigger may be about."""
@@ -106,6 +106,8 @@ def rows(name: str, group: str) -> tuple[Row, ...]:
     """The rows of a group of `name`.toml."""
     data = tomllib.loads(Path(__file__).with_name(f"{name}.toml").read_text("utf-8"))
     parts = {**tomllib.loads(Path(__file__).with_name("phrases.toml").read_text("utf-8"))["parts"]}
+    if name == "scenes":
+        parts |= tomllib.loads(Path(__file__).with_name("signs.toml").read_text("utf-8"))["parts"]
     parts |= data.get("parts", {})
     parts |= {"SIDE": f"(?:{parts['LEFT']}|{parts['RIGHT']})", "WHO": r"(?:@(?P<who>\w+))"}
     return tuple(

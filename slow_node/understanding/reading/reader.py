@@ -16,9 +16,11 @@ from slow_node.understanding.reading.amounts import amount
 from slow_node.understanding.reading.clauses import Clause, clauses, sentences
 from slow_node.understanding.reading.lexicon import ON_FOOT, VULNERABLE, Found, Row, bare, rows, searchable, side_said
 from slow_node.understanding.reading.questions import question_in
+from slow_node.understanding.reading.sequence import before_us, lets, named, not_said_before
 from slow_node.understanding.reading.signs import HARMLESS, LIKELY, SIGN, SURE_AS_A_WHOLE, sign, told_by_sign
 from slow_node.understanding.reading.standing import standing
 from slow_node.understanding.reading.values import corrected, steps_of, unbound, uses_miles
+from slow_node.understanding.reading.wishes import about, parted
 from slow_node.understanding.slots import Slots
 
 MOST_CLAUSES = 8
@@ -26,8 +28,11 @@ MOST_CLAUSES = 8
 MOST_PARSED = 4
 """So many clauses are parsed one by one: each takes the intent parser ten milliseconds."""
 _CORRECTS = re.compile(
-    r"\b(?:no|nope|wait a|actually|rather|sorry|scratch|false alarm|i mean|i meant|forget|nein|doch nicht|quatsch|moment|non|en fait|"
+    r"\b(?:no|nope|nah|wait a|actually|rather|sorry|scratch|false alarm|i mean|i meant|forget|nein|doch nicht|quatsch|moment|non|en fait|"
     r"plutot|pardon|mejor|perdon|anzi|scusa|alias|afinal|nee|toch|laat maar|oder|instead|hmm|oh dear|hold on|never mind)\b"
+)
+_TAKEN_BACK = re.compile(
+    r"(?<=\w), (?:(?:hm+|er|um|uh|oh|ach)[,.]? )*(?:(?:no+|nope|nah|nein|non|nee|nao)(?=,| no\b)|(?:scratch that|sorry|pardon|i mean(?:t)?|on second thoughts?|wait|entschuldigung|perdon|scusa|desculpa|i meant)(?=,| \w))"
 )
 _DENIED = re.compile(r"\b(?:do ?n[o']?t|dont|not|never|nicht|nie|ne|pas|no|nunca|non|mai|nao|niet|nooit)\b[^,;]{0,20}$")
 _AS_IT_IS = re.compile(
@@ -42,6 +47,7 @@ _WHERE = re.compile(
     r"^(?:there |right there |da |dort )?(?:on|in|at|by|along|am|auf|an|im|sur|au|dans|en|sul|sulla|na|no|op|langs) (?:the |der |die |den |dem |la |le |de |het )?"
     r"(?:\w+ )?(?:verge|road|roadside|middle|street|strasse|waldrand|fahrbahn|seite|route|chaussee|bas-cote|carretera|calzada|arcen|strada|ciglio|estrada|berma|weg|berm)$"
 )
+_BEFORE_ALL = re.compile(r"^(?:before|bevor|ehe|avant|antes|prima|voordat|voor) (?!@)\w+")
 _JOINED = re.compile(r"\b(?:and|but|und|aber|et|mais|y|pero|e|ma|mas|en|maar)\b|\d|,")
 MOST_SIZE = 30.0
 """A larger number alone is a speed."""
@@ -55,6 +61,8 @@ _WAVERS = re.compile(
 _POLITE = re.compile(
     r"^(?:if (?:that.s|it.s) (?:ok(?:ay)?|all right|possible)|if you (?:would|could|can)|please)\b[ ,.]*"
 )
+SAYS = (*rows("others", "says"), *rows("phrases", "says"), *rows("wishes", "says"))
+"""What asks for something in so many words."""
 _SAYS_NO = re.compile(r"^(?:no|nope|nein|non|nee|nao|ne|oh|hm+|wait|stop|well)$")
 
 
@@ -94,6 +102,9 @@ class ProgramReader:
 
     def read(self, command: str, speed_mps: float, limit_mps: float) -> Reading:
         """A command's program, with numbers resolved against the ego's speed and the limit, both in m/s."""
+        called = self._addressed.called(command, _known_or_timed)
+        if called is not None:
+            command = called
         parts = sentences(unbound(command))
         kept = self._addressed.kept(parts, _known, _known_or_timed)
         text = unbound(command) if len(kept) == len(parts) else " ".join(kept)
@@ -109,11 +120,15 @@ class ProgramReader:
             program = Program(outcome="directive", steps=(told,))
             return Reading(program, None, whole.slots.language, SIGN, 0.0)
         found = [clause for sentence in sentences(text) for clause in clauses(sentence)]
-        found = [clause for clause in found if not _SAYS_NO.match(clause.text)] or found
+        found = [clause for clause in found if clause.then or not _SAYS_NO.match(clause.text)] or found
         if len(found) > MOST_CLAUSES:
             return self._as_a_whole(command, text, whole, speed_mps)
+        at_once = len(found)
+        found = [one for clause in found for one in parted(clause, _certain, self._parser, speed_mps, limit_mps)]
         sure = [_sure(clause) for clause in found]
-        special = any(sure) or any(clause.when or clause.until or clause.beside for clause in found)
+        special = (
+            len(found) > at_once or any(sure) or any(clause.when or clause.until or clause.beside for clause in found)
+        )
         if not special and not any(clause.then for clause in found):
             return self._as_a_whole(command, text, whole, speed_mps)
         if whole.slots.outcome == "directive" and _corrected(found, any(sure)):
@@ -161,7 +176,11 @@ class ProgramReader:
             rest = clause.text if certain is None else certain.rest
             if mine and mine[0].act == "slower" and _HALT.match(rest):
                 mine, rest = (Step(act="stop", object=mine[0].object),), ""
-            if certain is not None and mine and (_lets(mine[0]) or _OTHERS.search(rest) or _WHERE.search(rest)):
+            if (
+                certain is not None
+                and mine
+                and (lets(mine[0]) or any(beside.search(rest) for beside in (_OTHERS, _WHERE, _BEFORE_ALL)))
+            ):
                 rest = ""  # what others do, and where, is why, and no wish
             if len(rest.split()) > (0 if certain is None else 1) and parsed < MOST_PARSED:
                 parsed += 1
@@ -172,12 +191,15 @@ class ProgramReader:
                     confidence = min(confidence, part.confidence)
                     wishes += 1
                     merged = merged.model_copy(update={**slots.model_dump(exclude_defaults=True, exclude={"outcome"})})
-                    mine = (*mine, *steps_of(slots, rest, speed_mps))
+                    mine = (
+                        *mine,
+                        *(s for s in steps_of(slots, rest, speed_mps) if not mine or about(s) != about(mine[0])),
+                    )
             elif not rest and certain is None and clause.when is not None:
                 mine = _waited(clause.when)
                 if mine:
                     known, begins = True, None
-            mine = _not_said_before(mine, steps, begins)
+            mine = not_said_before(mine, steps, begins)
             if not mine:
                 continue
             if (
@@ -204,7 +226,7 @@ class ProgramReader:
             program = Program(outcome="unclear", steps=tuple(steps[:1]), miles=miles)
             label = whole.slots if whole.slots.cancel else Slots(outcome="unclear", language=language)
             return Reading(program, label, language, 1.0, 0.0, True)
-        steps = _about(steps, searchable(command))
+        steps = before_us(named(steps, searchable(command)))
         if not known and wishes != len(found) and whole.refused >= HARMLESS and refused >= 0.05:
             refused = whole.refused
         program = Program(outcome="directive", steps=tuple(steps[:MAX_STEPS]), miles=miles)
@@ -232,38 +254,10 @@ class ProgramReader:
         return Reading(program, whole.slots, reading.language, reading.confidence, reading.refused, True)
 
 
-def _not_said_before(mine: tuple[Step, ...], steps: list[Step], begins: Trigger | None) -> tuple[Step, ...]:
-    """What is no repetition: "ambulance behind us, let it pass" yields once, "careful, slowly" slows down once."""
-    left: list[Step] = []
-    for step in mine:
-        before = steps[-1] if steps else None
-        if begins is None and step.act == "yield" and before is not None and before.act == "yield":
-            if not before.object and step.object:
-                steps[-1] = msgspec.structs.replace(before, object=step.object)
-            continue
-        slowed = any(one.act == "slower" for one in (*steps, *left))
-        if begins is None and step.act == "slower" and step.mode in (None, "factor") and slowed:
-            continue
-        left.append(step)
-    return tuple(left)
-
-
-def _lets(step: Step) -> bool:
-    return step.act == "yield" and step.polarity == "do"
-
-
-def _about(steps: list[Step], text: str) -> list[Step]:
-    """The steps, those that let somebody go with whom another part of the command names."""
-    named = [who for who in re.findall(r"@(\w+)", text) if who not in ("car", "driver")]
-    riding = [who for who in named if who not in ("pedestrian", "child")]
-    if not named:
-        return steps
-    who = (riding or named)[0]
-    return [msgspec.structs.replace(s, object=who) if s.act == "yield" and not s.object else s for s in steps]
-
-
 def _corrected(found: list[Clause], sure: bool) -> bool:
     """Whether a later word takes back what was said before: then only the whole tells what is left."""
+    if any(_TAKEN_BACK.search(clause.text) for clause in found):
+        return True
     later = any(_CORRECTS.search(clause.text) for clause in found[1:] if not clause.beside)
     return later or (not sure and _CORRECTS.search(found[0].text, 1) is not None)
 
@@ -277,6 +271,12 @@ def _known_or_timed(sentence: str) -> bool:
 def _known(sentence: str) -> bool:
     """Whether a sentence says something that is sure by its words."""
     return any(_sure(clause) for clause in clauses(sentence))
+
+
+def _certain(clause: Clause) -> Step | None:
+    """The wish that is sure in a clause, and does not go by the one before."""
+    sure = _sure(clause)
+    return None if sure is None or sure.follows else sure.step
 
 
 def _waited(trigger: Trigger) -> tuple[Step, ...]:
@@ -310,7 +310,7 @@ def _sure(clause: Clause) -> _Sure | None:
         changed = None if rest else amount(candidate)
         if changed is not None:
             return _Sure(changed, "", False, "")
-        for row in (*rows("others", "says"), *rows("phrases", "says")):
+        for row in SAYS:
             hit = row.search(candidate) if start == 0 or not row.fields.get("first") else None
             if hit is not None and not _DENIED.search(candidate[: hit.start]):
                 left = bare(f"{candidate[: hit.start]} {candidate[hit.end :]}")
@@ -362,12 +362,12 @@ def _step(row: Row, hit: Found) -> Step | None:
         fields["count"] = number
         over = row.fields["name"] == "lanes over"
         if side is not None:
-            fields["side"] = side if over else f"{side}most"
+            fields["side"] = side if over else None if side == "left" else "rightmost"
         elif over:
             return None
     elif side is not None and fields["act"] in ("slower", "stop"):
         fields["side"] = side
-    if "who" in said and said["who"] != "car":
+    if "who" in said and (said["who"] != "car" or fields["act"] == "yield"):
         fields["object"] = said["who"]
     if fields["act"] == "yield" and fields.get("object") in ON_FOOT:
         fields.pop("side", None)  # who is no car from behind

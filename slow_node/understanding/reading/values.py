@@ -10,12 +10,12 @@ from slow_node.understanding.numbers import KMH, MPH, in_digits, quantities
 from slow_node.understanding.slots import Slots
 
 AT_LEAST = re.compile(
-    r"\b(?:at least|nothing less|au minimum|(?:not|never|\w*n.t|nie|nicht|jamais|pas|nunca|no|mai|non|nooit|niet)\b.{0,30} (?:nearer|closer|naher|dichter|plus pres|mas cerca|piu vicin[oa]|mais perto|dichterbij)\b(?=.{0,25}\d)|(?:no|not|never) (?:less|slower|closer|nearer) than|minimum|or more|not below|never below|mindestens|wenigstens|nicht "
+    r"\b(?:at least|at no point (?:below|under|less|slower)|north of(?= \d)|(?:somewhere |anything |always )(?:above|over|upwards of)(?= \d)|the (?:slowest|least)\b.{0,15} is|irgendwo uber(?= \d)|quelque part au-dessus de|not (?:a|an|one|1) (?:\w+ )?(?:less|closer|fewer|slower)|keinen? (?:\w+ )?weniger|pas (?:un|une) de moins|ni uno? (?:\w+ )?menos|non uno di meno|nem uma? a menos|geen (?:\w+ )?minder|nothing less|au minimum|(?:not|never|\w*n.t|nie|nicht|jamais|pas|nunca|no|mai|non|nooit|niet)\b.{0,30} (?:nearer|closer|naher|dichter|plus pres|mas cerca|piu vicin[oa]|mais perto|dichterbij)\b(?=.{0,25}\d)|(?:no|not|never) (?:less|slower|closer|nearer) than|minimum|or more|not below|never below|mindestens|wenigstens|nicht "
     r"(?:weniger|langsamer|unter)|nie unter|unter \d+.{0,20} nicht|(?:not|\w*n.t|never)\b.{0,25} (?:under|below|less than|slower than)|au moins|pas moins|(?:al|por lo) menos|como minimo|no (?:menos|bajes) de|nunca (?:a )?menos|jamais (?:a )?moins|pas en dessous|almeno|come minimo|(?:non|mai) (?:a )?(?:meno|sotto)|pelo menos|"
     r"no minimo|nao (?:menos|abaixo|descas)|nunca (?:a menos|menos|abaixo)|minstens|ten minste|minimaal|(?:niet|nooit) (?:minder|langzamer|onder))\b"
 )
 AT_MOST = re.compile(
-    r"\b(?:at (?:the )?(?:very )?most|(?:not|\w*n.t|never)\b.{0,25} (?:exceed|top|pass|over|above|beyond|past) (?=\d)|massimo|maximo|(?:que )?no (?:pase|sea|vaya|suba|supere)s?\b.{0,8} (?:mas|de)|cap (?:it|us|the speed|our speed|things) at|anything up to|(?:limit|restrict)(?: it| us| the speed)? to|"
+    r"\b(?:at (?:the )?(?:very )?most|at no point (?:above|over|more|faster)|the (?:fastest|most|quickest)\b.{0,15} (?:is|.s)|(?:somewhere |anything |always )(?:below|under)(?= \d)|south of(?= \d)|not (?:a|an|one|1) (?:\w+ )?(?:more|faster)|keinen? (?:\w+ )?mehr|pas (?:un|une) de plus|ni uno? (?:\w+ )?mas|non uno di piu|nem uma? a mais|geen (?:\w+ )?meer(?= |$)|(?:not|\w*n.t|never)\b.{0,25} (?:exceed|top|pass|over|above|beyond|past) (?=\d)|massimo|maximo|(?:que )?no (?:pase|sea|vaya|suba|supere)s?\b.{0,8} (?:mas|de)|cap (?:it|us|the speed|our speed|things) at|anything up to|(?:limit|restrict)(?: it| us| the speed)? to|"
     r"(?:not|\w*n.t|never|no)\b.{0,25} (?:more|faster|quicker) than|begrenz\w*|limite[zr]? (?:la vitesse )?a|ne (?:depass\w+|roul\w+) (?:pas|jamais)(?: plus)?|"
     r"sin pasar|non superare|nao (?:ultrapass\w+|pass\w+) (?:d?os|d?e)|beperk|(?:no|not|never) (?:more|faster|quicker|farther|further) than|max(?:imum)?|(?:not|never|nothing|"
     r"(?:not|never|don.?t) go) (?:above|over|beyond|past)|(?:not|never|n.t) exceed|(?:stay|keep|remain)(?: it)? (?:below|under)|no faster|tops|hochstens|maximal|nicht (?:mehr|schneller|uber)|"
@@ -56,19 +56,19 @@ _SHARES = (
     (
         1 / 3,
         re.compile(
-            r"\b(?:an?|one|ein|um ein|un|um|een) (?:third|drittel|tiers|tercio|terzo|terco|derde)\b(?! ?(?:@|lane|spur|baan))"
+            r"(?:\b(?:an?|one|ein|um ein|un|um|una|uma|een) |^)(?:third|drittel|tiers|tercio|tercera parte|terzo|terza parte|terco|terca parte|derde)\b(?! ?(?:@|lane|spur|baan))"
         ),
     ),
     (
         1 / 4,
         re.compile(
-            r"\b(?:an?|one|ein|um ein|un|um|een) (?:quarter|viertel|quart|cuarto|quarto|kwart)\b(?! (?:of an|past|to))"
+            r"(?:\b(?:an?|one|ein|um ein|un|um|una|uma|een) |^)(?:quarter|viertel|quart|cuarto|cuarta parte|quarto|quarta parte|kwart)\b(?! (?:of an|past|to|of a mile))"
         ),
     ),
     (
         1 / 5,
         re.compile(
-            r"\b(?:a|one|ein|um ein|un|um|een) (?:fifth|funftel|cinquieme|quinto|vijfde)\b(?! ?(?:@|lane|spur|baan))"
+            r"(?:\b(?:a|one|ein|um ein|un|um|una|uma|een) |^)(?:fifth|funftel|cinquieme|quinto|quinta parte|vijfde)\b(?! ?(?:@|lane|spur|baan))"
         ),
     ),
     (
@@ -131,6 +131,8 @@ def steps_of(slots: Slots, text: str = "", speed_mps: float | None = None) -> tu
     speed = _speed(slots, text, takes_factor=not has_factor, now_mps=speed_mps)
     if speed is not None:
         steps.append(speed)
+    if slots.overtake and slots.lane in ("left", "right") and _PASSES_BY_A_SIDE.search(text):
+        slots = slots.model_copy(update={"lane": "none"})
     if slots.lane == "keep":
         steps.append(Step(act="keep", object="lane"))
     elif slots.lane in ("left", "right"):
@@ -216,6 +218,8 @@ def _speed(slots: Slots, text: str, *, takes_factor: bool, now_mps: float | None
         return by_share
     if slots.target_speed_mps is not None:
         value = round(slots.target_speed_mps, 3)
+        if slots.speed in ("none", "faster") and _TO_THE_LIMIT.search(text) and _bound(text) == "to":
+            return Step(act="drive", object="limit")
         if slots.speed in ("none", "keep"):
             of_limit = (
                 "limit"
@@ -225,7 +229,7 @@ def _speed(slots: Slots, text: str, *, takes_factor: bool, now_mps: float | None
             return Step(act="drive", object=of_limit, value=value, unit="mps", mode=_bound(text))
         if faster and AT_MOST.search(text):
             return Step(act="drive", value=value, unit="mps", mode="at_most")
-        if not faster and now_mps is not None and value > now_mps + 1.0 and not SLOWER.search(text):
+        if not faster and now_mps is not None and value > now_mps - SAME_MPS and not SLOWER.search(text):
             return Step(act="drive", value=value, unit="mps", mode=_bound(text))
         change = _change(text) or _difference(slots, text, now_mps)
         if change is not None:
@@ -243,6 +247,14 @@ def _speed(slots: Slots, text: str, *, takes_factor: bool, now_mps: float | None
     if faster and _A_BIT.search(text):
         return Step(act="faster", object="bit")
     return Step(act="faster" if faster else "slower")
+
+
+_TO_THE_LIMIT = re.compile(r"^(?!.*\d).*\b\w*(?:limit|limiet|limitation)\w*\b")
+_PASSES_BY_A_SIDE = re.compile(
+    r"\b(?:pass|overtake|uberhol\w*|vorbei|double\w*|depass\w*|adelant\w*|rebas\w*|sorpass\w*|super\w*|ultrapass\w*|inhal\w*|haal|passe)\b[^,]{0,25}(?:on (?:the|his|its)|by the|links|rechts|"
+    r"par la|a|por la|pela|sulla|da|aan de|over) ?(?:left|right|gauche|droite|izquierda|derecha|sinistra|destra|esquerda|direita|linker\w*|rechter\w*)?\b|\b(?:links|rechts) (?:\w+ )?(?:uberhol|vorbei|inhal)\w*"
+)
+"""The side is by which he is passed, and no wish of its own."""
 
 
 def _by_share(share: float, text: str, *, faster: bool) -> Step | None:
@@ -275,7 +287,7 @@ _A_BIT = re.compile(
     r"un poco|un poquito|un po.?|um (?:pouco|bocadinho)|een beetje|ietsje|iets|wat (?:sneller|harder))\b"
 )
 _TO_A_SPEED = re.compile(
-    r"\b(?:to|at|auf|a|ad|aan|naar|op|up to|down to|until|bis|tot|jusqu.a|hasta|fino a|ate) (?:about |etwa )?\d"
+    r"\b(?:to|at|auf|mit|bei|a|ad|aan|naar|op|up to|down to|until|bis|tot|jusqu.a|hasta|fino a|ate) (?:about |etwa )?\d"
 )
 
 

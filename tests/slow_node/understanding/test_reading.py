@@ -16,11 +16,14 @@ from slow_node.understanding.reading.reader import ProgramReader
 GROUPS = (
     ("others", "says"),
     ("phrases", "says"),
+    ("wishes", "says"),
     ("questions", "asks"),
     ("questions", "follows"),
+    ("tales", "tells"),
     ("topics", "topics"),
     ("triggers", "waits"),
     ("signs", "signs"),
+    ("scenes", "signs"),
 )
 ROWS = [(group, row) for name, group in GROUPS for row in rows(name, group)]
 
@@ -36,7 +39,7 @@ def named(value: object) -> str:
 @pytest.mark.parametrize(("group", "row"), ROWS, ids=named)
 def test_an_expression_matches_its_commands_in_every_language_and_not_those_beside_them(group: str, row: Row) -> None:
     def hits(command: str) -> bool:
-        text = searchable(command) if group in ("waits", "signs") else bare(searchable(command))
+        text = searchable(command) if group in ("waits", "signs", "tells") else bare(searchable(command))
         if group == "follows":
             return any(pattern.fullmatch(text) for pattern in row.patterns)
         return row.search(text) is not None
@@ -367,3 +370,41 @@ def test_a_wish_to_be_too_close_is_no_sign_of_it(reader: ProgramReader) -> None:
 
 def test_a_sign_beside_another_wish_leaves_the_wish_alone(reader: ProgramReader) -> None:
     assert steps(reader, "I feel sick, stop the car")[-1] == {"act": "stop"}
+
+
+IN_ORDER = {
+    "get past him and tuck back in on the right": ["overtake", "lane"],
+    "after you've slowed down to 66 open the gap by twenty metres": ["slower", "farther"],
+    "brake to 55, wait till that lorry's through, then go left": ["slower", "lane"],
+    "find whichever side is open and after that eighty nine": ["lane", "drive"],
+    "Vorbei an dem Laster, dann wieder rechts": ["overtake", "lane"],
+    "inhalen, terug naar rechts, 99": ["overtake", "lane", "drive"],
+    "accelera a centotredici e poi tieni il passo": ["faster", "keep"],
+}
+TOLD = [
+    "In the film they drive off a bridge at full speed, it's brilliant.",
+    "Mein Enkel ist gestern mit dem Dreirad von der linken auf die rechte Seite gesaust.",
+    "Mon beau-frère s'est pris un PV à cent cinquante-deux, bien fait.",
+    "En la telenovela de anoche el galán frenó en seco.",
+    "No jogo de ontem o lateral ultrapassou três pela direita.",
+]
+CALLED = {
+    "no no tell him the meeting is at four and uh car get into the lane on the right okay so four o'clock yes": "lane",
+    "Marco smettila di tirare i capelli a tua sorella, e tu frena più dolcemente, Marco ho detto basta!": "smoother",
+    "pues nada tía, que me ha dejado, coche aflójale un poco anda, y encima por WhatsApp": "slower",
+}
+
+
+@pytest.mark.parametrize("command", IN_ORDER)
+def test_wishes_stand_in_the_order_in_which_they_are_said(reader: ProgramReader, command: str) -> None:
+    assert [step["act"] for step in steps(reader, command)] == IN_ORDER[command]
+
+
+@pytest.mark.parametrize("command", TOLD)
+def test_what_is_only_told_asks_for_nothing(reader: ProgramReader, command: str) -> None:
+    assert read(reader, command).outcome == "out_of_scope"
+
+
+@pytest.mark.parametrize("command", CALLED)
+def test_what_is_said_to_the_car_by_name_in_the_middle_of_talk_is_found(reader: ProgramReader, command: str) -> None:
+    assert [step["act"] for step in steps(reader, command)] == [CALLED[command]]
