@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from slow_node.understanding.intent_parser import HEADS, IntentParser
 from slow_node.understanding.reading.called import called
-from slow_node.understanding.reading.lexicon import rows, searchable
+from slow_node.understanding.reading.lexicon import RECENT, rows, searchable
 from slow_node.understanding.reading.signs import sign
 from slow_node.understanding.text import fold
 
@@ -181,6 +182,7 @@ def at_leisure(sentence: str) -> bool:
     return _SMALL_TALK.search(text) is not None and not _OF_DRIVING.search(searchable(sentence))
 
 
+@lru_cache(RECENT)
 def _tells(sentence: str) -> bool:
     """Whether a sentence tells of another day, a film, a game or others."""
     text = searchable(sentence)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 
 from schemas.wire.program import Trigger
 from slow_node.understanding.number_words import replaced
 from slow_node.understanding.numbers import quantities
 from slow_node.understanding.reading.happens import told
-from slow_node.understanding.reading.lexicon import Found, Row, bare, rows, searchable, side_said
+from slow_node.understanding.reading.lexicon import RECENT, Found, Row, bare, rows, searchable, side_said
 from slow_node.understanding.reading.order import in_order
 from slow_node.understanding.reading.values import AT_LEAST
 
@@ -68,6 +69,11 @@ def sentences(command: str) -> list[str]:
 
 def clauses(sentence: str) -> list[Clause]:
     """The clauses of one sentence, in order."""
+    return list(_clauses(sentence))
+
+
+@lru_cache(RECENT)
+def _clauses(sentence: str) -> tuple[Clause, ...]:
     text = told(_EVERY_ROAD.sub("", in_order(searchable(sentence))))
     found: list[Clause] = []
     asks = sentence.rstrip().endswith("?")
@@ -88,7 +94,7 @@ def clauses(sentence: str) -> list[Clause]:
             waiting = None
     if waiting is not None:
         found.append(Clause("", waiting, None, bool(found)))
-    return found
+    return tuple(found)
 
 
 def _bounded(rest: str, when: Trigger | None, until: Trigger | None, then: bool, asks: bool) -> list[Clause]:

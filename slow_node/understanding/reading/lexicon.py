@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -124,6 +124,11 @@ def _compiled(expression: str, parts: Mapping[str, str]) -> re.Pattern[str]:
     return re.compile(re.sub(r"\(\?P<(\w+)>", lambda m: f"(?P<{m[1]}_{next(numbered)}>", expression))
 
 
+RECENT = 256
+"""So many texts are remembered in the form in which they were read: one is looked at from several sides."""
+
+
+@lru_cache(RECENT)
 def searchable(text: str) -> str:
     """Folded, numbers from two up in digits, vehicles and people as "@truck", "@cyclist", ..."""
     plain = _MARKS.sub(" ", prepared(text))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import msgspec
@@ -14,7 +15,17 @@ from slow_node.understanding.intent_parser import IntentParser, Parsed
 from slow_node.understanding.reading.addressed import Addressed
 from slow_node.understanding.reading.amounts import amount
 from slow_node.understanding.reading.clauses import Clause, clauses, sentences
-from slow_node.understanding.reading.lexicon import ON_FOOT, VULNERABLE, Found, Row, bare, rows, searchable, side_said
+from slow_node.understanding.reading.lexicon import (
+    ON_FOOT,
+    RECENT,
+    VULNERABLE,
+    Found,
+    Row,
+    bare,
+    rows,
+    searchable,
+    side_said,
+)
 from slow_node.understanding.reading.questions import question_in
 from slow_node.understanding.reading.sequence import before_us, lets, named, not_said_before
 from slow_node.understanding.reading.signs import HARMLESS, LIKELY, SIGN, SURE_AS_A_WHOLE, sign, told_by_sign
@@ -286,6 +297,7 @@ def _waited(trigger: Trigger) -> tuple[Step, ...]:
     return ()
 
 
+@lru_cache(RECENT)
 def _sure(clause: Clause) -> _Sure | None:
     """What is sure in a clause: its whole, its end from some comma on, or one part between commas."""
     parts = [part.strip() for part in clause.text.split(",") if part.strip()]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 
 from schemas.wire.program import Step
 from slow_node.understanding.intent_parser import IntentParser, Parsed
 from slow_node.understanding.reading.clauses import clauses, sentences
-from slow_node.understanding.reading.lexicon import bare, rows, searchable
+from slow_node.understanding.reading.lexicon import RECENT, bare, rows, searchable
 from slow_node.understanding.reading.values import corrected, steps_of
 
 HARMLESS = 0.4
@@ -28,6 +29,7 @@ _NOT_SO = re.compile(
 )
 
 
+@lru_cache(RECENT)
 def sign(text: str) -> tuple[Step, str] | None:
     """The step for the first sign in a text in `searchable` form, and what else was said; None without a sign."""
     for row in SIGNS:
