@@ -259,7 +259,8 @@ def interpret(
             metavar="NAME|FILE",
             help="To score: dev, programs, dialogues, strangers, strangers-dialogues, strangers-3, "
             "strangers-3-dialogues, a file like these (FILE.jsonl); "
-            "or an exam, which is not for choosing by: blind, strangers-2, strangers-2-dialogues.",
+            "or an exam, which is not for choosing by: blind, strangers-2, strangers-2-dialogues, strangers-4, "
+            "strangers-4-dialogues.",
         ),
     ] = "dev",
     experiment: Annotated[

@@ -28,7 +28,7 @@ EXAMS: Final = {
     name: PROGRAMS_SET.with_name(f"{name}.jsonl")
     for name in (
         "programs", "dialogues", "strangers", "strangers-dialogues", "strangers-2", "strangers-2-dialogues",
-        "strangers-3", "strangers-3-dialogues"
+        "strangers-3", "strangers-3-dialogues", "strangers-4", "strangers-4-dialogues"
     )
 }  # fmt: skip
 """By name. The strangers' were written by people who had read one page on what the car can do, and nothing else; their

@@ -19,7 +19,9 @@ from slow_node.understanding.slots import Slots
 from tests.ride import scene
 
 LABELS = [
-    label for name in ("programs", "strangers", "strangers-2", "strangers-3") for label in exam_lines(EXAMS[name])
+    label
+    for name in ("programs", "strangers", "strangers-2", "strangers-3", "strangers-4")
+    for label in exam_lines(EXAMS[name])
 ]
 
 
@@ -98,7 +100,13 @@ def test_what_is_not_driven_is_judged_by_why(outcome: str, why: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "count"),
-    [("dialogues", 20), ("strangers-dialogues", 60), ("strangers-2-dialogues", 30), ("strangers-3-dialogues", 48)],
+    [
+        ("dialogues", 20),
+        ("strangers-dialogues", 60),
+        ("strangers-2-dialogues", 30),
+        ("strangers-3-dialogues", 48),
+        ("strangers-4-dialogues", 60),
+    ],
 )
 def test_dialogues_have_three_to_five_turns(name: str, count: int) -> None:
     dialogues = exam_lines(EXAMS[name])
@@ -109,10 +117,10 @@ def test_dialogues_have_three_to_five_turns(name: str, count: int) -> None:
 def test_no_command_of_the_strangers_is_there_twice() -> None:
     texts = [
         plain_text(label["text"])
-        for name in ("strangers", "strangers-2", "strangers-3")
+        for name in ("strangers", "strangers-2", "strangers-3", "strangers-4")
         for label in exam_lines(EXAMS[name])
     ]
-    assert len(texts) == len(set(texts)) >= 1500
+    assert len(texts) == len(set(texts)) >= 2100
 
 
 @pytest.mark.parametrize(
