@@ -102,13 +102,15 @@ def _found(match: re.Match[str]) -> Found:
 
 
 @cache
+def _tables(name: str) -> dict[str, Any]:
+    return tomllib.loads(Path(__file__).with_name(f"{name}.toml").read_text("utf-8"))
+
+
+@cache
 def rows(name: str, group: str) -> tuple[Row, ...]:
     """The rows of a group of `name`.toml."""
-    data = tomllib.loads(Path(__file__).with_name(f"{name}.toml").read_text("utf-8"))
-    parts = {**tomllib.loads(Path(__file__).with_name("phrases.toml").read_text("utf-8"))["parts"]}
-    if name == "scenes":
-        parts |= tomllib.loads(Path(__file__).with_name("signs.toml").read_text("utf-8"))["parts"]
-    parts |= data.get("parts", {})
+    data = _tables(name)
+    parts = _tables("phrases")["parts"] | data.get("parts", {})
     parts |= {"SIDE": f"(?:{parts['LEFT']}|{parts['RIGHT']})", "WHO": r"(?:@(?P<who>\w+))"}
     return tuple(
         Row(row, tuple(_compiled(row[language], parts) for language in LANGUAGES if language in row))
