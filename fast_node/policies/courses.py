@@ -13,33 +13,37 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fast_node.policies.on_paper import SLOWEST_MPS, STANDSTILL_M, acceleration, set_point
+from fast_node.policies.on_paper import SLOWEST_MPS, STANDSTILL_M, acceleration, set_point, way
 from fast_node.policies.policy import Policy
-from fast_node.policies.weights import CHECKPOINTS, EXACT_MPS, RIGHT_MPS, Described
+from fast_node.policies.weights import CHECKPOINTS, Described
 from schemas.driving import features as f
+from schemas.driving.features import Array
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 
-Array = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 
 OFFSETS = np.array([0, -1, 1, -2, 2])
 """Lanes, from the ego's; the last two are only looked at."""
 LANES = 3
-LOWER_MPS = (0.0, 1.0, 2.5, 5.0)
+LOWER_MPS = np.array([0.0, 1.0, 2.5, 5.0], np.float32)
 """Speeds to try, below the present set-point; ..."""
-ABOVE_LEAD_MPS = (0.0, 1.5)
+ABOVE_LEAD_MPS = np.array([0.0, 1.5], np.float32)
 """... above what the lane's next car comes to; and before all, the wished one."""
 SPEEDS = 1 + len(LOWER_MPS) + len(ABOVE_LEAD_MPS)
 WISHED, PRESENT = 0, 1
 COUNT = LANES * SPEEDS
 LANE = np.concatenate([np.repeat(np.arange(LANES), SPEEDS), np.arange(LANES, len(OFFSETS))])
 """Of each course, as an index of `OFFSETS`; after the courses come the lanes beyond, at the wished speed."""
+AT_WISHED = np.array([0, SPEEDS, 2 * SPEEDS, COUNT, COUNT + 1])
+"""In each lane the course at the wished speed."""
+BESIDE = np.array([[1, 2], [3, 0], [0, 4]])
+"""The lanes beside each, as indices of `OFFSETS`."""
 PLAN = np.tile(np.arange(SPEEDS), LANES)
 SIDE = OFFSETS[LANE[:COUNT]]
 
-STEPS_S = (0.5,) * 6 + (1.0,) * 10
-MOMENTS = np.cumsum((0.0, *STEPS_S[:-1])).astype(np.float32)
-SOON, TOTAL_S = 8, sum(STEPS_S)
+STEPS_S = np.array([0.5] * 6 + [1.0] * 10, np.float32)
+MOMENTS = np.cumsum(STEPS_S) - STEPS_S
+SOON, TOTAL_S = 8, STEPS_S.sum()
 SOON_S = float(MOMENTS[SOON])
 QUEUE = 4
 """So many cars ahead of the ego in each lane are reckoned with."""
@@ -134,7 +138,7 @@ def courses(x: Array) -> Courses:
     free = own[:, f.CHANGING] == 0
     is_open = np.stack([stays, free & (own[:, f.LEFT_OPEN] > 0), free & (own[:, f.RIGHT_OPEN] > 0)], 1)
     driven = _drive(v, held, goal, lead_at[:, LANE], lead_mps[:, LANE], lead_half[:, LANE], headway)
-    lost = wished * np.float32(TOTAL_S) - driven.way
+    lost = wished * TOTAL_S - driven.way
     goal = goal[:, :COUNT]
     turn = goal - held
     known = np.empty((*goal.shape, len(COURSES.names)), np.float32)
@@ -163,10 +167,8 @@ def _goals(wished: Array, held: Array, lead_at: Array, lead_mps: Array) -> Array
     """(B, C + beyond) the speed that every course goes for [m/s]."""
     at_last = np.where(lead_at[..., -1] < FAR_M, lead_mps[..., -1], np.inf)[:, :LANES, None]
     b = len(wished)
-    lower = np.broadcast_to((held - np.array(LOWER_MPS, np.float32))[:, None], (b, LANES, len(LOWER_MPS)))
-    tried = np.concatenate(
-        [np.broadcast_to(wished[:, None], (b, LANES, 1)), lower, at_last + np.array(ABOVE_LEAD_MPS, np.float32)], 2
-    )
+    lower = np.broadcast_to((held - LOWER_MPS)[:, None], (b, LANES, len(LOWER_MPS)))
+    tried = np.concatenate([np.broadcast_to(wished[:, None], (b, LANES, 1)), lower, at_last + ABOVE_LEAD_MPS], 2)
     clipped = np.clip(tried.reshape(b, COUNT), SLOWEST_MPS, wished)
     return np.concatenate([clipped, np.repeat(wished, len(OFFSETS) - LANES, 1)], 1)
 
@@ -185,7 +187,7 @@ def _next_ahead(ahead: Bools, at: Array, mps: Array, half: Array) -> tuple[Array
             alone = np.minimum(alone, path - np.minimum(room, QUEUE_M + QUEUE_S * mps[..., m])[..., None])
         path = np.where(there[..., m, None], alone, path)
     speed = np.empty_like(path)
-    speed[..., :-1] = np.diff(path, axis=-1) / np.array(STEPS_S[:-1], np.float32)
+    speed[..., :-1] = np.diff(path, axis=-1) / STEPS_S[:-1]
     speed[..., -1] = speed[..., -2]
     some = there[..., :1]
     return path, np.where(some, speed, FREE_MPS), np.where(some[..., 0], half[..., 0], 0.0)
@@ -210,7 +212,7 @@ def _drive(
     speed, point, way = np.repeat(v, goal.shape[1], 1), np.repeat(held, goal.shape[1], 1), np.zeros_like(goal)
     lead, rear = (np.ascontiguousarray(np.moveaxis(a, -1, 0)) for a in (lead_mps, lead_at - lead_half[..., None]))
     kept, ways, speeds, accels = headway * lead, np.empty_like(rear), np.empty_like(rear), np.empty_like(rear)
-    for k, dt in enumerate(STEPS_S):
+    for k, dt in enumerate(STEPS_S.tolist()):
         ways[k], speeds[k] = way, speed
         point = set_point(point, goal, speed, dt)
         accels[k] = accel = acceleration(point, speed, lead[k], rear[k] - way - STANDSTILL_M - kept[k], BRAKES_MPS2)
@@ -219,30 +221,24 @@ def _drive(
     gaps = rear - ways
     near = 1.0 - np.minimum(np.maximum(gaps, 0.0) / (TTC_S * np.maximum(speeds - lead, CLOSING_MPS)), 1.0)
     short = np.maximum(1.0 - gaps / np.maximum(speeds, 1.0), 0.0)
-    steps_s, total = np.array(STEPS_S, np.float32)[:, None, None], np.float32(TOTAL_S)
+    steps_s = STEPS_S[:, None, None]
     return _Driven(
         ways[SOON],
         way,
         near[0],
         near.max(0),
-        (steps_s * accels * accels).sum(0) / total,
+        (steps_s * accels * accels).sum(0) / TOTAL_S,
         np.abs(np.diff(accels, axis=0, prepend=np.float32(0.0))).sum(0) / np.float32(len(STEPS_S)),
-        (steps_s * short).sum(0) / total,
+        (steps_s * short).sum(0) / TOTAL_S,
     )
 
 
 def _beyond(lost: Array, seen: Bools) -> Array:
     """(B, LANES) the least that is lost at the wished speed in each lane or one beside it in which a car is."""
-    by_lane = {int(offset): lost[:, np.argmax(k == LANE)] for k, offset in enumerate(OFFSETS)}
-    seen_in = {int(offset): seen[:, k] for k, offset in enumerate(OFFSETS)}
-    out = []
-    for offset in OFFSETS[:LANES]:
-        least = by_lane[int(offset)]
-        for beside in (int(offset) - 1, int(offset) + 1):
-            if beside in by_lane:
-                least = np.where(seen_in[beside], np.minimum(least, by_lane[beside]), least)
-        out.append(least)
-    return np.stack(out, 1)
+    here = lost[:, AT_WISHED]
+    beside = np.where(seen, here, np.inf)[:, BESIDE]
+    least: Array = np.minimum(here[:, :LANES], beside.min(-1))
+    return least
 
 
 def _braking_behind(behind: Bools, at: Array, mps: Array, half: Array, v: Array) -> Array:
@@ -290,7 +286,6 @@ class CoursePolicy:
 def _first_actions(x: Array, goal: Array) -> NDArray[np.int64]:
     """(B, C) the action that each course begins with: the change of lanes, else a step towards its speed (B, C)."""
     v = 10.0 * x[:, 0, f.SPEED, None]
-    off = goal - (v + 5.0 * x[:, 0, f.SET_POINT, None])
-    right = np.where(np.abs(goal - (v + 5.0 * x[:, 0, f.V_DES, None])) < EXACT_MPS, EXACT_MPS, RIGHT_MPS)
-    speed = np.where(off < -right, MetaAction.SLOW_DOWN, np.where(off > right, MetaAction.SPEED_UP, MetaAction.CRUISE))
+    turn = way(goal, v + 5.0 * x[:, 0, f.SET_POINT, None], v + 5.0 * x[:, 0, f.V_DES, None])
+    speed = np.where(turn < 0, MetaAction.SLOW_DOWN, np.where(turn > 0, MetaAction.SPEED_UP, MetaAction.CRUISE))
     return np.where(SIDE < 0, MetaAction.LEFT, np.where(SIDE > 0, MetaAction.RIGHT, speed))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fast_node.policies.on_paper import way
 from fast_node.policies.plans import (
     LEFT_MOST_M,
     NEVER_S,
@@ -29,7 +30,7 @@ from fast_node.policies.plans import (
 )
 from fast_node.policies.policy import Policy
 from fast_node.policies.rule import rule_logits
-from fast_node.policies.weights import CHECKPOINTS, EXACT_MPS, RIGHT_MPS, Described
+from fast_node.policies.weights import CHECKPOINTS, Described
 from schemas.driving import features as f
 from schemas.wire.messages import POLICY_ACTIONS, MetaAction
 
@@ -82,11 +83,10 @@ def best_of(known: Plans, weights: Array | None = None) -> Array:
 def towards(logits: Array, goal: Array, held: Array, wished: Array) -> Array:
     """Preferences (B, 5) with those of the speed replaced: from a set-point `held` towards `goal`, (B,) each [m/s]. A
     lane change that is preferred stays so."""
-    out, off = logits.copy(), goal - held
-    right = np.where(np.abs(goal - wished) < EXACT_MPS, EXACT_MPS, RIGHT_MPS)
-    out[:, MetaAction.SLOW_DOWN] = np.where(off < -right, 2.0, -1.0)
+    out, turn = logits.copy(), way(goal, held, wished)
+    out[:, MetaAction.SLOW_DOWN] = np.where(turn < 0, 2.0, -1.0)
     out[:, MetaAction.CRUISE] = 0.0
-    out[:, MetaAction.SPEED_UP] = np.where(off > right, 1.0, -1.0)
+    out[:, MetaAction.SPEED_UP] = np.where(turn > 0, 1.0, -1.0)
     return out
 
 

@@ -18,7 +18,7 @@ from fast_node.policies.mlp import BASELINES, LEARNERS, VARIANTS, load_mlp, ship
 from fast_node.policies.outsider import load_outsider, prove
 from fast_node.policies.policy import NamedPolicy
 from fast_node.policies.rule import RulePolicy
-from fast_node.policies.weights import Array
+from schemas.driving.features import Array
 from schemas.runtime.process import ConfigError
 
 OURS = "fastslow"

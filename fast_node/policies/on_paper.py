@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float32]
+from schemas.driving.features import Array
 
 ACCEL_MPS2, MOST_MPS2 = 1.5, 1.8
 SLOWEST_MPS = 3.0
@@ -17,6 +17,18 @@ SPARE_MPS = 0.3
 STANDSTILL_M = 2.5
 NEAREST = (6.0 - 2.5) ** 2
 """Too near to a leader the ego is 2.5 m/s slower than it, as `choice.closing_mps` has it."""
+
+
+RIGHT_MPS, EXACT_MPS = 0.3, 0.05
+"""A set-point that is off by less is right: a decision moves it by half a metre a second, and more would be flutter;
+but the wished speed, at which it stops, is reached."""
+
+
+def way(goal: Array, held: Array, wished: Array) -> NDArray[np.int64]:
+    """-1, 0, 1: whether a set-point `held` has to fall, is right or has to rise for `goal` [m/s]."""
+    off = goal - held
+    right = np.where(np.abs(goal - wished) < EXACT_MPS, EXACT_MPS, RIGHT_MPS)
+    return np.where(off < -right, -1, np.where(off > right, 1, 0))
 
 
 def set_point(point: Array, goal: Array, speed: Array, dt: Any) -> Array:

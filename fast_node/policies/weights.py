@@ -8,15 +8,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
+from schemas.driving.features import Array
 from schemas.runtime.process import ConfigError
 
-Array = NDArray[np.float32]
 CHECKPOINTS = Path(__file__).parents[1] / "checkpoints"
-RIGHT_MPS, EXACT_MPS = 0.3, 0.05
-"""A set-point that is off by less is right: a decision moves it by half a metre a second, and more would be flutter;
-but the wished speed, at which it stops, is reached."""
 
 
 class _File(Struct, frozen=True):
