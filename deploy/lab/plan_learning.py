@@ -24,7 +24,6 @@ from deploy.lab.agents import behind_the_mask, drive
 from deploy.lab.episodes import Directive
 from fast_node.policies.courses import COURSES
 from fast_node.policies.gaps import GAPS
-from fast_node.policies.weights import Described
 from fast_node.training.plan_weights import Search
 from schemas.runtime.process import CONFIG, OK, ConfigError
 from sim_node.scenario_file import find_scenario
@@ -46,7 +45,6 @@ class Road:
 class Subject:
     """What is learnt, and how."""
 
-    described: Described
     start: dict[str, float]
     """The weights to begin with, all of them."""
     widths: dict[str, float]
@@ -58,13 +56,11 @@ _COURSES_START = {name: COURSES.by_hand.get(name, 0.0) for name in COURSES.names
 SUBJECTS = {
     # Costs only matter beside each other: those by hand, a tenth as large; what never opens costs more than what does.
     "gaps": Subject(
-        GAPS,
         _GAPS_START,
         {name: max(0.2, 0.1 * abs(value)) for name, value in _GAPS_START.items()},
         (Road("merge-natural", 256), Road("merge", 128), Road("roadworks", 96)),
     ),
     "courses": Subject(
-        COURSES,
         _COURSES_START,
         {name: max(0.06, 0.3 * abs(value)) for name, value in _COURSES_START.items()},
         (

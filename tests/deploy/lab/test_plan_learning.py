@@ -11,6 +11,9 @@ import pytest
 from deploy.lab import plan_learning
 from deploy.lab.plan_learning import SUBJECTS, Road, learn, worth
 from fast_node.training import plan_weights
+from fast_node.policies.courses import COURSES
+from fast_node.policies.gaps import GAPS
+from fast_node.policies.weights import Described
 from fast_node.training.plan_weights import Search
 
 SHORT = (Road("merge", 2),)
@@ -34,7 +37,7 @@ def test_a_generation_leaves_weights_that_drive_and_the_next_goes_on(
     assert "2/2 ride score" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("what", SUBJECTS)
-def test_a_search_begins_with_every_weight_of_the_plans(what: str) -> None:
+@pytest.mark.parametrize(("what", "described"), [("gaps", GAPS), ("courses", COURSES)])
+def test_a_search_begins_with_every_weight_of_the_plans(what: str, described: Described) -> None:
     subject = SUBJECTS[what]
-    assert list(subject.start) == list(subject.widths) == list(subject.described.names)
+    assert list(subject.start) == list(subject.widths) == list(described.names)
