@@ -10,10 +10,10 @@ import pytest
 
 from deploy.lab import plan_learning
 from deploy.lab.plan_learning import SUBJECTS, Road, learn, worth
-from fast_node.training import plan_weights
 from fast_node.policies.courses import COURSES
 from fast_node.policies.gaps import GAPS
 from fast_node.policies.weights import Described
+from fast_node.training import plan_weights
 from fast_node.training.plan_weights import Search
 
 SHORT = (Road("merge", 2),)
