@@ -112,7 +112,7 @@ def amount(text: str) -> Step | None:
         value = float(to["v"]) * (MPH if uses_miles(text) else KMH)
         return Step(act="drive", value=round(value, 3), unit="mps", mode="to")
     percent = _PERCENT_MORE.search(plain)
-    if percent is not None and _ROOM.search(plain) and _only(_ON.sub(" ", plain), _PERCENT_MORE.search(plain)):
+    if percent is not None and _ROOM.search(plain) and _only(_ON.sub(lambda word: " " * len(word[0]), plain), percent):
         share = share_said(plain) or 0.0
         return Step(act="farther", value=round(1.0 + share, 3), unit="times", mode="factor")
     multiple = _TIMES.search(plain)

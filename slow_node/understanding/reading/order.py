@@ -130,8 +130,8 @@ _WAITS_INSIDE = re.compile(
 
 
 _SIZES = re.compile(
-    r"\b(?:somewhere |anywhere |irgendwo |quelque part )?(?:between|zwischen|entre|tra|fra|tussen)(?: de)? (?P<low>\d+(?:[.,]\d+)?|one|eine?r?|une?|una|uno|uma?|een) ?(?:s|m|met\\w+|se[ckg]\\w*)? ?(?:and|to|und|et|y|e|en) "
-    r"(?P<high>\d+(?:[.,]\d+)?) (?P<unit>s|m|met\\w+|se[ckg]\\w*|(?:@?car )?lengths?|wagenlangen|longueurs)\b(?P<rest>.*)$"
+    r"\b(?:somewhere |anywhere |irgendwo |quelque part )?(?:between|zwischen|entre|tra|fra|tussen)(?: de)? (?P<low>\d+(?:[.,]\d+)?|one|eine?r?|une?|una|uno|uma?|een) ?(?:s|m|met\w+|se[ckg]\w*)? ?(?:and|to|und|et|y|e|en) "
+    r"(?P<high>\d+(?:[.,]\d+)?) (?P<unit>s|m|met\w+|se[ckg]\w*|(?:@?car )?lengths?|wagenlangen|longueurs)\b(?P<rest>.*)$"
 )
 """Two bounds of a gap."""
 

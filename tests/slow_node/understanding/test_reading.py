@@ -359,6 +359,26 @@ BESIDE_TALK = {
 }
 
 
+@pytest.mark.parametrize(
+    ("command", "low", "high", "unit"),
+    [
+        ("keep between 20 and 30 metres behind that car", 20.0, 30.0, "m"),
+        ("halte zwischen 20 und 30 Meter Abstand", 20.0, 30.0, "m"),
+        ("stay between 20 and 30 m behind", 20.0, 30.0, "m"),
+        ("leave between two and three seconds to the car ahead", 2.0, 3.0, "s"),
+        ("entre 2 et 3 secondes de distance", 2.0, 3.0, "s"),
+    ],
+)
+def test_a_gap_between_two_sizes_has_both_bounds(
+    reader: ProgramReader, command: str, low: float, high: float, unit: str
+) -> None:
+    steps = reader.read(command, 25.0, 33.0).program.steps
+    assert [(s.act, s.mode, s.value, s.unit) for s in steps] == [
+        ("gap", "at_least", low, unit),
+        ("gap", "at_most", high, unit),
+    ]
+
+
 @pytest.mark.parametrize("command", BESIDE_TALK)
 def test_a_wish_between_the_commas_of_talk_is_found(reader: ProgramReader, command: str) -> None:
     assert steps(reader, command) == [BESIDE_TALK[command]]
