@@ -10,8 +10,8 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from deploy.run.launch import Launched, launch, temporary_folder
@@ -36,14 +36,17 @@ def weigh(others: Launched, more: int) -> None:
 def follow(others: Launched) -> None:
     """Print what they have said and go on saying, until they end."""
     with others.log.open("rb") as log:
-        while others.exit_code() is None or log.peek(1):
+        while True:
+            with suppress(subprocess.TimeoutExpired):
+                others.popen.wait(1.0)
             sys.stdout.buffer.write(log.read())
             sys.stdout.flush()
-            time.sleep(0.1)
+            if others.popen.returncode is not None:
+                return
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The exit code of the first part that failed; 0 if none did. arguments: pytest's, of both parts."""
+    """The larger exit code of the two parts; 0 if both passed. arguments: pytest's, of both."""
     with temporary_folder() as folder:
         said = folder / "said"
         split = ("-n", "2", "--dist", "loadfile", "--realtime=without")
