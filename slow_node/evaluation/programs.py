@@ -31,8 +31,8 @@ EXAMS: Final = {
         "strangers-3", "strangers-3-dialogues", "strangers-4", "strangers-4-dialogues"
     )
 }  # fmt: skip
-"""By name. The strangers' were written by people who had read one page on what the car can do, and nothing else; their
-second has not been read by anybody who works on this, their third has."""
+"""By name. The strangers' were written by people who had read one page on what the car can do, and nothing else. The
+first and third have been read by those who work on this; the second and fourth have not, but for two of the fourth."""
 NEAR: Final = 0.03
 """A value may be off by this share of the label."""
 SPEED_MPS, HEADWAY_S, CHANGED_S = 0.35, 0.15, 0.05
